@@ -18,7 +18,7 @@ from operando.contrib.signals import checked_signals
 from operando.data.objects import Short, counted
 from operando.errors import DataError
 from operando.indicators import INTERVAL
-from operando.structure.effects.effect import with_spread
+from operando.structure.effects import with_spread
 
 Real = NDArray[np.float64]
 

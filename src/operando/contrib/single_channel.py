@@ -13,8 +13,7 @@ from operando.contrib.signals import checked_signals
 from operando.data.objects import Short
 from operando.errors import DataError
 from operando.indicators import INTERVAL
-from operando.structure.effects import kind_of
-from operando.structure.effects.effect import with_spread
+from operando.structure.effects import kind_of, with_spread
 from operando.structure.force_law import raw_force
 from operando.structure.modal_space import Complex, Real
 

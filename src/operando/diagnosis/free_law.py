@@ -18,7 +18,7 @@ from operando.diagnosis.scan import Say, responses
 from operando.diagnosis.terms import FREE_LAW, Term, added
 from operando.indicators import INTERVAL
 from operando.processes import side_by_side
-from operando.structure.effects.effect import with_spread
+from operando.structure.effects import with_spread
 from operando.units import engineering_unit
 
 Array = NDArray[Any]

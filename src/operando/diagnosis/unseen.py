@@ -25,7 +25,7 @@ from operando.diagnosis.terms import Term, added
 from operando.dof import Dof, split_node
 from operando.indicators import INTERVAL
 from operando.processes import side_by_side
-from operando.structure.effects.effect import with_spread
+from operando.structure.effects import with_spread
 
 Array = NDArray[Any]
 

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from operando.indicators import INTERVAL
 from operando.printable import printable
+from operando.structure.effects import with_spread
 
 DASH = "–"
 POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -62,7 +63,7 @@ def decibel(value: Any) -> str:
 
 
 def plus_minus(value: Any, std: Any, digits: int = 5, factor: float = 1.0) -> str:
-    """Value ± its 95 % interval, the interval with two significant digits and the value with as many decimals.
+    """Value ± its 95 % interval, as effects are written: the interval with one digit, the value to the same digit.
 
     Parameters
     ----------
@@ -76,11 +77,7 @@ def plus_minus(value: Any, std: Any, digits: int = 5, factor: float = 1.0) -> st
     x = float(value) * factor
     if not finite(std) or float(std) <= 0:
         return number(x, digits)
-    s = INTERVAL * float(std) * factor
-    decimals = min(max(1 - math.floor(math.log10(s)), 0), 8)
-    if float(f"{s:.{decimals}f}") >= 10.0 ** (2 - decimals) and decimals > 0:  # 0.0996 rounds to 0.10: one digit fewer
-        decimals -= 1
-    return f"{x:.{decimals}f} ± {s:.{decimals}f}".replace("-", "−")
+    return with_spread(x, INTERVAL * float(std) * factor).replace("-", "−")
 
 
 def percent(share: Any, digits: int = 2) -> str:

@@ -1,7 +1,7 @@
 """The catalogue of physical effects: kinds behind one interface, and effects with place and size."""
 
 from operando.structure.effects.base import EffectKind, Parameter, Quadratic
-from operando.structure.effects.effect import Effect
+from operando.structure.effects.effect import Effect, with_spread
 from operando.structure.effects.parse import parse_effect
 from operando.structure.effects.places import place_weights, position_weights, spline_weights
 from operando.structure.effects.registry import catalogue, kind_of, register, unregister
@@ -19,4 +19,5 @@ __all__ = [
     "register",
     "spline_weights",
     "unregister",
+    "with_spread",
 ]
