@@ -25,7 +25,7 @@ from operando.compare.measures import (
 )
 from operando.compare.models import ModelComparison, compare_models
 from operando.compare.peaks import Peak, by_mode, fit_peaks
-from operando.data import Frf, ModalModel, Saved, expect, plots, positive_band
+from operando.data import Frf, ModalModel, Short, expect, plots, positive_band
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.results import CheckRun
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Comparison(Saved):
+class Comparison(Short):
     """One M of ``comparison.json``.
 
     Values are None where the data do not allow them (no variance, no line above the noise).

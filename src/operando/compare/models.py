@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel, Saved, counted, plots
+from operando.data import ModalModel, Short, counted, plots
 from operando.errors import DataError, ObjectError
 from operando.indicators import common_shapes, left_out
 from operando.scaling import pair_modes
@@ -23,7 +23,7 @@ THRESHOLD = 0.7
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class ModelComparison(Saved):
+class ModelComparison(Short):
     """Modes of one model paired with those of another.
 
     Parameters

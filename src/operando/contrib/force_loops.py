@@ -33,7 +33,7 @@ POINTS = 200
 """Points of a stroke that are compared, evenly spread over its travel."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class LoopFit(Short):
     """What the loops of force over displacement show.
 

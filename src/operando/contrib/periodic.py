@@ -23,7 +23,7 @@ SEEN = 4.0
 """Distortion counts as seen where its power is this many times the noise's, in the median over lines."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class PeriodicResponse(Short):
     """Responses to a periodic force.
 

@@ -37,7 +37,7 @@ alike over a sixth of the band (tests/test_nonlinear_single.py)."""
 GRID = np.geomspace(0.03, 0.9, 16)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class SingleFit(Short):
     """m·a + c·v + k·x + s(x, v) = f of one channel pair, in the units of its signals.
 

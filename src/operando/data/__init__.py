@@ -20,7 +20,7 @@ from operando.data.levels import LEVEL_RATIO, force_rms, level_groups, one_level
 from operando.data.mapped import MappedSamples, RowStatistics, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
-from operando.data.objects import Saved, Short, common_name, counted, expect, names_text, plots, several
+from operando.data.objects import Short, common_name, counted, expect, names_text, plots, several
 from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, quantity_named, unit_of
 from operando.data.receptances import Receptances
@@ -46,7 +46,6 @@ __all__ = [
     "Receptances",
     "ResidualTerms",
     "RowStatistics",
-    "Saved",
     "Short",
     "StoredFile",
     "StoredRow",

@@ -14,7 +14,7 @@ from operando.ema.candidates import Candidate
 from operando.stabilization import RejectedPole, Stabilization
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class EmaDetails(Short):
     """What the identification did.
 

@@ -163,5 +163,6 @@ def _encode_sequence(value: tuple[Any, ...] | list[Any], target: Target, path: s
 
 
 def _join(path: str, name: str) -> str:
-    clean = name.replace("/", "_").replace(".", "_") or "_"
+    """Path of a value below another; two names never make one path."""
+    clean = name.replace("%", "%25").replace("/", "%2F").replace(".", "%2E") or "%"
     return f"{path}/{clean}" if path else clean

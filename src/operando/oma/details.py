@@ -104,7 +104,7 @@ class JointCheck:
         return {"text": self.text, "modes": rows}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class OmaDetails(Short):
     """How the modes were found.
 

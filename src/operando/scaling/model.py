@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Finding, Frf, ModalModel, Saved, counted, plots
+from operando.data import Finding, Frf, ModalModel, Short, counted, plots
 from operando.scaling.condensed import CondensedBasis
 from operando.scaling.pairing import Pairing
 from operando.threads import one_blas_thread
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class HybridModel(Saved):
+class HybridModel(Short):
     """Operational modes with the scale carried over from rest.
 
     Parameters

@@ -17,7 +17,7 @@ Equivalents = tuple[tuple[LinearEquivalent, ...], ...]
 """Spring and damper at each level for each effect; none for a linear one."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class RecordsDiagnosis(Diagnosis):
     """A diagnosis from records with measured force, level-dependent effects among its effects.
 
@@ -46,7 +46,7 @@ class RecordsDiagnosis(Diagnosis):
         return super().to_dict() | {"effects": effects, "detection": self.detection, "simulation": self.simulation}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class RecordsApplied(Applied):
     """Effects chosen by hand, level-dependent ones among them, fitted to records.
 
