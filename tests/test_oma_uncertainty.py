@@ -10,7 +10,7 @@ import pytest
 
 from operando.oma.correlation import BlockCorrelations, block_hankel, correlate
 from operando.oma.estimate import normalise_shapes
-from operando.oma.subspace import Factors, factorise, factorise_weighted, poles_of_order, realise
+from operando.oma.subspace import Factors, factorise, factorise_weighted, poles_of_order, realise, whitening_factor
 from operando.oma.uncertainty import covariance_of_mean, normalised_changes, perturb
 from test_oma_fit import CHAIN, FS, simulate
 
@@ -87,3 +87,24 @@ def test_intervals_cover():
     for name in "fz":
         ratio = np.nanmedian(result[f"std_{name}"], axis=0) / np.nanstd(result[f"error_{name}"], axis=0)
         assert np.all((ratio < 1.5) & (ratio > 1 / 1.5))
+
+
+def test_whitening_keeps_weak_modes_and_raises_no_empty_band(monkeypatch):
+    """``REGULARISATION``: less of it and bands without energy are raised a thousandfold, more of it and weak modes lose their weight."""
+    rows, lags = 30, np.arange(62)
+    set_to = lambda value: monkeypatch.setattr("operando.oma.subspace.REGULARISATION", value)  # noqa: E731
+    low_passed = np.sinc(lags / 8)[:, None, None]  # white up to an eighth of half the sampling rate
+    raised = lambda: 1 / np.linalg.svd(whitening_factor(low_passed, rows, 10**9, False), compute_uv=False).min()  # noqa: E731
+    assert raised() == pytest.approx(1 / np.sqrt(1e-3), rel=0.01)
+    set_to(1e-7)
+    assert raised() > 3000
+
+    def weights(value: float) -> np.ndarray:
+        """Canonical correlations of a strong mode, and of one with 1 % of the mean square."""
+        set_to(value)
+        modes = [part * np.exp(-0.01 * w * lags) * np.cos(w * lags) for part, w in ((0.99, 0.5), (0.01, 1.7))]
+        return factorise_weighted(np.sum(modes, axis=0)[:, None, None], np.array([0]), rows, 4, 10**9).s[:4]
+
+    best, used, much = (weights(value) for value in (1e-7, 1e-3, 1.0))
+    assert np.all(used > 0.9 * best)
+    assert np.min(much) < 0.5 * np.min(best)
