@@ -68,7 +68,7 @@ def test_a_field_of_another_kind_is_refused(made: Any):
     [
         (lambda: replace(IDLE, band_hz="x"), "band 'x': no numbers"),
         (lambda: replace(IDLE, band_hz=(60, 10)), "is reversed"),
-        (lambda: replace(IDLE, misfit=-1.0), "misfit -1 is below 0"),
+        (lambda: replace(IDLE, misfit=-1.0), "the reduced chi-square -1 is below 0"),
         (lambda: replace(IDLE, damping_ratios=[1.0, 2.0]), "a damping ratio of 2 is not between -1 and 1"),
         (lambda: replace(IDLE, damping_ratios=[0.01, np.nan]), "not between -1 and 1"),
         (lambda: replace(IDLE, shapes=np.full((2, 2), np.nan)), "shapes must be finite"),

@@ -112,7 +112,7 @@ class ModalModel(ModalFigures, Noun):
         put("in_band", in_band)
         check_fields(self)
         if self.misfit is not None and self.misfit < 0:
-            raise DataError(f"misfit {self.misfit:g} is below 0", hint="give a reduced chi-square")
+            raise DataError(f"the reduced chi-square {self.misfit:g} is below 0", hint="leave it out where it is not known")
         residuals = self.residuals if self.residuals is not None and len(self.residuals) else None
         put("residuals", residuals)
         if residuals is not None and residuals.shapes.shape[0] != len(self.dofs):
