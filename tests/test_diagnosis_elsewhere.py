@@ -29,10 +29,10 @@ from operando.diagnosis.hypotheses import (
     Lacking,
     _apart,
     between_sensors,
-    on_a_sum,
     grown_by_a_mode,
     instead_of_two,
     mode_with_nothing_touched,
+    on_a_sum,
     search_elsewhere,
     with_mode,
 )
@@ -247,7 +247,7 @@ def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count
     ],
 )
 def test_one_effect_between_sensors_is_looked_for_where_one_acts_on_the_sum_of_their_motions(sign, places, kind, asked):
-    """A spring between points acts on how far they move apart; with channels of opposite senses the difference is twice the motion midway."""
+    """A spring acts on how far points move apart; with channels of opposite senses the difference is twice the motion half-way between."""
     dofs = tuple(replace(d, sign=sign) if i == 1 else d for i, d in enumerate(DOFS))
     state = SimpleNamespace(terms=(Term(kind, places, (0.0,)),), case=SimpleNamespace(dofs=dofs))
     assert on_a_sum(state, LINE) == between_sensors(state, LINE) == asked

@@ -232,7 +232,7 @@ def _explaining(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _refuse_others(function: Callable[..., Any], args: tuple[Any, ...], options: dict[str, Any], error: BaseException | None) -> None:
-    """Say which argument is of another kind or has another number of dimensions than declared, if one has."""
+    """Say which argument is of another kind than declared, if one is."""
     signature = inspect.signature(function)
     try:
         given = signature.bind(*args, **options).arguments
@@ -249,8 +249,3 @@ def _refuse_others(function: Callable[..., Any], args: tuple[Any, ...], options:
         what = f"{name} of {plain.__name__}"
         if not is_of(value, hints.get(name, Any), loose=True):
             raise ObjectError(f"{what} is {_kind_of(value)}, expected {said}", hint=advice) from error
-        shape = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* : \(([\w., ]+)\) ", inspect.getdoc(plain) or "", re.MULTILINE)
-        axes = shape[1].strip(", ").split(", ") if shape and value is not None else []
-        least, most = len(axes) - ("..." in axes), np.inf if "..." in axes else len(axes)
-        if shape and axes and not least <= np.ndim(value) <= most:
-            raise ObjectError(f"{what} has the shape {np.shape(value)}, expected ({shape[1]})", hint=advice) from error

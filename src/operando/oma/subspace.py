@@ -15,8 +15,8 @@ from operando.oma.correlation import block_hankel
 
 REGULARISATION = 1e-3
 """White noise added to covariances that are whitened with, in parts ε of each channel's mean square: bands without energy, as above a
-low-pass filter, would make their factor singular. A part of variance v of a channel keeps v/(v + ε) of its weight: 91 % of what makes 1 %
-of the mean square. What has no energy at all is raised no more than 1/√ε = 32 times.
+low-pass filter, leave their factor to rounding errors. A part of variance v of a channel keeps v/(v + ε) of its weight: 91 % of what makes
+1 % of the mean square. What has no energy at all is raised no more than 1/√ε = 32 times.
 """
 
 
