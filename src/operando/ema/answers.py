@@ -17,7 +17,7 @@ from operando.ema.pairs import Pairs, Real
 from operando.ema.polish import Polished
 from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters
 from operando.ema.polished import PolishedAnswer
-from operando.ema.projection import tail_columns
+from operando.ema.projection import basis, tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
 from operando.ema.unit_mass import ModalCovariance, UnitMassShapes
@@ -192,24 +192,36 @@ def linear_model(
     scaled: bool,
 ) -> ModalModel:
     """Model of the linear stage: modes without doubts; the other poles are residual terms."""
-    outside = linear_outside(fit, mass, band)
-    residual = np.array([bool(e.doubts) for e in evidence])
-    poles = fit.mean_hz, fit.poles.zeta
-    return _assemble(frf, dofs, band, poles, mass.shapes, mass.covariance, outside, residual, misfit, scaled, "linear stage")
+    outside, terms = linear_outside(fit, mass, band), np.flatnonzero(~without_shape(fit, mass))
+    residual = np.array([bool(evidence[k].doubts) for k in terms])
+    poles = fit.mean_hz[terms], fit.poles.zeta[terms]
+    covariance = mass.covariance if terms.size == fit.n_modes else mass.covariance.of_modes(terms.tolist())
+    return _assemble(frf, dofs, band, poles, mass.shapes[:, terms], covariance, outside, residual, misfit, scaled, "linear stage")
+
+
+def without_shape(fit: LinearFit, mass: UnitMassShapes) -> NDArray[np.bool_]:
+    """Poles beyond the lines that no drive point scales while it scales others, (n,).
+
+    Their residues are part of what lies outside: a shape from products of next to nothing has any size.
+    """
+    beyond = (fit.poles.hz < fit.ends_hz[0]) | (fit.poles.hz > fit.ends_hz[1])
+    return np.asarray(beyond & ~mass.scaled & mass.scaled.any())
 
 
 def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, float], local_terms: bool = True) -> OutsideModes:
     """Residual terms for all DOFs from the tails of the measured pairs; 1/s, an offset of a sensor, is no part of a structure."""
-    runs, parameters = column_runs(fit, mass.shapes)
+    gone = without_shape(fit, mass)
+    runs, parameters = column_runs(fit, mass.shapes, gone)
     columns = tail_columns(fit.pairs.frequencies_hz, max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0], fit.pairs.window_rate)
-    physical = columns[: len(OUTSIDE_FACTORS) + len(LOWER_FACTORS)]
+    poles = basis(fit.pairs.frequencies_hz, fit.poles.take(gone), fit.pairs.window_rate)[0]
+    physical = np.concatenate([columns[: len(OUTSIDE_FACTORS) + len(LOWER_FACTORS)], poles])
     estimates = []
     for run, local in zip(runs, parameters.local, strict=True):
         information = np.stack([2 * real_inner(physical / variance, physical) for variance in run.response_variance])
         estimates.append((local.ravel(), information))
     lines = fit.pairs.accelerance.size
     polished = Polished(parameters, np.zeros((0, 0)), tuple(estimates), float(fit.projection.cost.sum()), lines, 0, True)
-    m, n = mass.shapes.shape
+    m, n = parameters.shapes.shape
     local_terms = local_terms and (n + 14 + m) * (2 + m) <= MOST_PARAMETERS
     return outside_modes(runs, polished, band, True, max_dofs=CORE_DOFS, local_terms=local_terms)
 
@@ -225,13 +237,14 @@ def _physical_tails(fit: LinearFit) -> Real:
     return np.asarray(tails)
 
 
-def column_runs(fit: LinearFit, shapes: Real) -> tuple[list[RunSpectra], Parameters]:
+def column_runs(fit: LinearFit, shapes: Real, gone: NDArray[np.bool_]) -> tuple[list[RunSpectra], Parameters]:
     """The pairs as columns of the FRF matrix, as the maximum-likelihood fit takes them, and the linear fit in its parameters.
 
-    By reciprocity the side with fewer DOFs stands for the references: the accelerometers of a roving-hammer test.
+    By reciprocity the side with fewer DOFs stands for the references: the accelerometers of a roving-hammer test. Of the poles in ``gone``
+    the residues are amounts of kernels outside.
     """
     pairs, runs, local = fit.pairs, [], []
-    tails = _physical_tails(fit)
+    tails = np.c_[_physical_tails(fit), fit.projection.a[:, gone]]
     few, many = pairs.columns, pairs.rows
     if np.unique(few).size > np.unique(many).size:
         few, many = many, few
@@ -257,6 +270,7 @@ def column_runs(fit: LinearFit, shapes: Real) -> tuple[list[RunSpectra], Paramet
     top, bottom = max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0]
     # the constant tail stands for free masses: a kernel far below the lines
     outside = np.array([k * top for k in OUTSIDE_FACTORS] + [LOWER_FACTORS[1] * bottom, LOWER_FACTORS[0] * bottom])
+    damping = np.concatenate([np.full(outside.size, OUTSIDE_DAMPING), fit.poles.zeta[gone]])
+    outside, terms = np.append(outside, fit.poles.hz[gone]), fit.poles.take(~gone)
     empty = tuple(np.zeros((0, 0)) for _ in runs)
-    damping = np.full(outside.size, OUTSIDE_DAMPING)
-    return runs, Parameters(fit.poles.hz, fit.poles.zeta, shapes, outside, damping, empty, tuple(local))
+    return runs, Parameters(terms.hz, terms.zeta, shapes[:, ~gone], outside, damping, empty, tuple(local))

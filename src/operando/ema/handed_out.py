@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operando.ema.answers import linear_outside
+from operando.ema.answers import linear_outside, without_shape
 from operando.ema.close_pairs import separated
 from operando.ema.discrepancy import fit_variance
 from operando.ema.linear import LinearFit, fit_linear
@@ -66,7 +66,8 @@ def left_of(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_dofs: int
     free = again.on_lines(seen)
     parted = separated(again)
     mass = unit_mass_shapes(parted, n_dofs)
-    inside = _of_modes(seen, parted.mean_hz, parted.poles.zeta, mass.shapes)
+    kept = ~without_shape(parted, mass)
+    inside = _of_modes(seen, parted.mean_hz[kept], parted.poles.zeta[kept], mass.shapes[:, kept])
     terms = linear_outside(parted, mass, band, local_terms=False)  # a term of an undriven DOF is in no measured pair
     outside = _of_modes(seen, terms.hz, terms.zeta, terms.shapes)
     by_pair = np.mean(power_of(seen.accelerance - inside - outside) / variance, axis=1)
