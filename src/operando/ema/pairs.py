@@ -41,6 +41,8 @@ class Pairs:
         is measured at once errs together. −1 for the mean of several set-ups.
     window_rate : float
         Rate β [1/s] of the exponential window the FRFs carry.
+    offset : bool
+        Whether the fit has a term 1/s for an offset of the sensors.
     """
 
     frequencies_hz: Real
@@ -52,6 +54,7 @@ class Pairs:
     grid: NDArray[np.int_]
     places: NDArray[np.int_]
     window_rate: float = 0.0
+    offset: bool = True
 
     @property
     def drive_points(self) -> NDArray[np.int_]:

@@ -139,6 +139,7 @@ def tail_columns(f: Real, top_hz: float, bottom_hz: float, rate: float) -> Compl
 def _columns(pairs: Pairs, poles: Poles, ends_hz: tuple[float, float]) -> Columns:
     top = max(ends_hz[1], float(poles.hz.max(initial=0.0)))
     tails = tail_columns(pairs.frequencies_hz, top, ends_hz[0], pairs.window_rate)
+    tails[-2] *= pairs.offset
     return modal_columns(pairs.frequencies_hz, poles.hz, poles.zeta, tails, pairs.window_rate)
 
 
