@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 
 import pytest
 
+from operando import threads
 from operando.structure.effects import EffectKind, Parameter, catalogue, register, unregister
+
+WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+if WORKERS > 1:  # the processors are in use already: a fit shared between two processes takes a third more of them
+    threads.limit(threads.cores() // WORKERS)
 
 
 @pytest.fixture
