@@ -86,11 +86,12 @@ def test_a_change_that_noise_would_hide_is_inconclusive(chain, idle):  # noqa: F
 
 def test_what_many_lines_tell_is_no_matter_of_their_noise_in_db(chain, idle):  # noqa: F811
     """Noise of 200 %, 17 dB: masses of the sizes stated are seen all the same, so agreement says something."""
-    found = diagnose(idle, check=[running(chain, [0, 3], noise=2.0)])
+    asked = {"kinds": ["point_mass"]}
+    found = diagnose(idle, check=[running(chain, [0, 3], noise=2.0)], **asked)
     assert found.verdict == "no_misfit"
     assert found.noise_floor_db > FLOOR_DB
     [size] = [row["value"] for row in found.detectable if row["kind"] == "point_mass" and row["location"] == ["5+Z"]]
-    seen = [diagnose(idle, check=[running(chain, [0, 3], noise=2.0, mass=size * at(4), seed=s)]).verdict for s in range(1, 5)]
+    seen = [diagnose(idle, check=[running(chain, [0, 3], noise=2.0, mass=size * at(4), seed=s)], **asked).verdict for s in range(1, 5)]
     assert seen.count("no_misfit") <= 1  # each is seen in 95 of 100
 
 
@@ -121,7 +122,7 @@ def test_an_unknown_idle_model_is_named_as_what_hides(chain, idle):  # noqa: F81
     assert "what is not known of the idle model" in found.proposed_measurement
 
 
-@pytest.mark.parametrize("weak", [8.0, 2.0, 0.8])
+@pytest.mark.parametrize("weak", [8.0, 0.8])
 def test_a_weak_effect_beside_a_strong_one_is_not_swallowed(chain, idle, weak):  # noqa: F811
     """A mass of 0.15 kg and a damper of 8 N·s/m beside it, and weaker ones."""
     found = diagnose(idle, check=[running(chain, [0, 3], mass=0.15 * at(4), damping=weak * at(4))])
@@ -131,11 +132,12 @@ def test_a_weak_effect_beside_a_strong_one_is_not_swallowed(chain, idle, weak): 
 
 
 def test_effects_without_support_are_candidates_only(chain, idle):  # noqa: F811
-    """Random mass, damping and stiffness between all DOFs, each with each: no effect of the catalogue is one of them."""
+    """Random mass, damping and stiffness between all DOFs, each with each: no effect asked for is one of them."""
+    kinds = ["point_mass", "ground_spring", "ground_damper", "coupling_spring", "sensor_gain"]
     rng = np.random.default_rng(3)
     root, damp, stiff = rng.standard_normal((3, N, N))
     change = {"mass": 0.04 * root @ root.T, "damping": 2 * damp @ damp.T, "stiffness": 2e4 * stiff @ stiff.T}
-    found = diagnose(idle, check=[running(chain, [0, 3], **change)])
+    found = diagnose(idle, check=[running(chain, [0, 3], **change)], kinds=kinds)
     assert found.verdict in ("partial", "unexplained")
     if found.verdict == "unexplained":
         assert found.effects == ()

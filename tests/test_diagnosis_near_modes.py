@@ -32,7 +32,7 @@ def on_another_day(damping_above: float, frequency_above: float) -> CheckRun:
     rng = np.random.default_rng(5)
     hz, zeta = HZ * (1 + 1e-3 * rng.standard_normal(HZ.size)), 0.01 * np.exp(0.05 * rng.standard_normal(HZ.size))
     hz[4], zeta[4] = HZ[4] * frequency_above, 0.01 * damping_above
-    lines = np.linspace(*BAND, 700)
+    lines = np.linspace(*BAND, 400)
     s, w = 2j * np.pi * lines, 2 * np.pi * hz
     kernel = s**2 / (w[:, None] ** 2 + 2 * zeta[:, None] * w[:, None] * s + s**2)
     seen = SHAPES + 0.01 * 0.35 * rng.standard_normal(SHAPES.shape)
@@ -53,4 +53,4 @@ def test_a_mode_above_the_band_that_differs_between_days_is_no_effect(damping: f
 
 def test_it_would_be_one_if_only_modes_in_band_could_differ(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Idle, "with_near", lambda self, band, fitted=False: self)
-    assert diagnose(idle_model(), check=[on_another_day(1.3, 1.002)]).verdict != "no_misfit"
+    assert diagnose(idle_model(), check=[on_another_day(1.3, 1.002)], kinds=["point_mass"]).verdict != "no_misfit"
