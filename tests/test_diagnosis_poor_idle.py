@@ -102,7 +102,7 @@ def test_what_the_idle_model_leaves_is_an_error_of_the_check(idle_frf, rest):
     assert np.allclose(other[-1, 0], np.median(other[:-1, 0], axis=0), rtol=0.3)
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [11, 12, pytest.param(13, marks=pytest.mark.slow)])
 def test_a_mass_is_told_beside_errors_of_the_measurement(idle_frf, seed):
     """Partial, for the idle model misses the idle FRFs themselves: the right kind, place and size, and nothing beside it."""
     found = diagnose_frf(model(), [CheckRun("run", "1 N", roved(seed, ADDED))], idle_frf=idle_frf)
@@ -114,7 +114,7 @@ def test_a_mass_is_told_beside_errors_of_the_measurement(idle_frf, seed):
     assert any("counts as error of the operating measurement" in note for note in found.notes)
 
 
-@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize("seed", [21, 22, pytest.param(23, marks=pytest.mark.slow)])
 def test_nothing_is_told_where_the_same_structure_is_measured_again(idle_frf, seed):
     found = diagnose_frf(model(), [CheckRun("run", "1 N", roved(seed))], idle_frf=idle_frf)
     assert found.verdict == "inconclusive"

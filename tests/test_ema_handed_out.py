@@ -122,7 +122,7 @@ def test_a_finding_says_that_real_shapes_do_not_describe_the_frfs(damper, noise)
     assert "with_complex_modes" in found.action
 
 
-@pytest.mark.parametrize(("damper", "noise", "draws"), [(30.0, 1e-3, 1), (100.0, 1e-3, 1), (400.0, 1e-3, 1), (400.0, 1e-2, 6)])
+@pytest.mark.parametrize(("damper", "noise", "draws"), [(30.0, 1e-3, 1), (100.0, 1e-3, 1), (400.0, 1e-3, 1), (400.0, 1e-2, 4)])
 def test_poles_are_those_of_the_complex_modes(damper, noise, draws):
     """Shapes alone are worse for being real: 95 % intervals of frequencies and damping ratios of the free fit hold the truth."""
     hz, zeta = (values[:4] for values in true_poles(damper))
