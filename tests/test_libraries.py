@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +26,18 @@ def path(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def results(path, tmp_path_factory):
+def made(path, tmp_path_factory):
+    """A results folder made without the libraries and then with them, what came of it, and what the second run said."""
+    out, said = tmp_path_factory.mktemp("out"), []
+    run(path, out, until="oma")
     test = operando.load_test(path).with_analysis(second_opinion=True)
-    return run(test, tmp_path_factory.mktemp("out"), until="oma", report=True)
+    found = run(test, out, until="oma", report=True, progress=lambda stage, message: said.append(message))
+    return out, found, said
+
+
+@pytest.fixture(scope="module")
+def results(made):
+    return made[1]
 
 
 def by_state(results):
@@ -50,14 +60,12 @@ def test_both_libraries_find_the_modes_of_the_chain(results):
     assert set(by_state(results)) == {"idle", "operating"}
 
 
-def test_asking_for_the_libraries_makes_no_other_stage_again(path, results, tmp_path):
-    run(path, tmp_path, until="oma")
-    said = []
-    test = operando.load_test(path).with_analysis(second_opinion=True)
-    again = run(test, tmp_path, until="oma", progress=lambda stage, message: said.append(message))
+def test_asking_for_the_libraries_makes_no_other_stage_again(path, made, tmp_path):
+    out, again, said = made
     assert sum("unchanged" in m for m in said) == 5  # inspect, frf, two of ema, oma
     assert len(again.libraries) == 2
-    assert run(path, tmp_path, until="oma").libraries == []
+    shutil.copytree(out, tmp_path / "out")
+    assert run(path, tmp_path / "out", until="oma").libraries == []
 
 
 def test_objects_are_fitted_and_timed_here(results):
@@ -102,8 +110,9 @@ def test_report_has_the_tables(results, tmp_path):
         assert c.method in text
 
 
-def test_command(path, tmp_path):
-    done = CliRunner().invoke(main, ["compare-libraries", str(path), "-o", str(tmp_path), "--json"])
+def test_command(path, made, tmp_path):
+    shutil.copytree(made[0], tmp_path / "out")
+    done = CliRunner().invoke(main, ["compare-libraries", str(path), "-o", str(tmp_path / "out"), "--json"])
     assert done.exit_code == 0, done.stderr
     document = json.loads(done.stdout)
     assert document["schema"] == "operando/libraries/1"

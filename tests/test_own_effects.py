@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 from click.testing import CliRunner
@@ -48,6 +49,19 @@ def test_file(tmp_path):
     return measurements.write_test(
         tmp_path, operating=False, check=False, extra='kinds = ["strut_for_test"]\n[effects]\nmodules = ["my_laws.py"]'
     )
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """A test without an operating record, run until the comparison: its test file, and results to copy."""
+    path = measurements.write_test(tmp_path_factory.mktemp("compared"), operating=False)
+    run(path, path.parent / "out", until="compare")
+    return path
+
+
+@pytest.fixture
+def out(compared, tmp_path):
+    return shutil.copytree(compared.parent / "out", tmp_path / "out")
 
 
 def test_the_test_file_brings_its_own_kinds(tmp_path, test_file):
@@ -114,10 +128,8 @@ def test_two_files_cannot_share_a_name(tmp_path):
         load_effects([law(tmp_path), law(tmp_path, "other.py")])
 
 
-def test_an_own_kind_is_added_to_results_where_its_file_is_named(tmp_path):
-    path = measurements.write_test(tmp_path, operating=False)
-    file, out = law(tmp_path, time=0), tmp_path / "out"
-    run(path, out, until="compare")
+def test_an_own_kind_is_added_to_results_where_its_file_is_named(tmp_path, out):
+    file = law(tmp_path, time=0)
     added = "strut_for_test@3+Z=stiffness:2e4"
     done = call("add", out, added)
     assert done.exit_code == 1
@@ -136,11 +148,9 @@ def test_an_own_kind_is_added_to_results_where_its_file_is_named(tmp_path):
     assert call("remove", out, "1", "--own", file).exit_code == 0
 
 
-def test_an_error_in_a_law_of_ones_own_is_told_with_its_file_and_method(tmp_path):
-    path = measurements.write_test(tmp_path, operating=False)
-    file, out = law(tmp_path, time=0), tmp_path / "out"
+def test_an_error_in_a_law_of_ones_own_is_told_with_its_file_and_method(tmp_path, out):
+    file = law(tmp_path, time=0)
     file.write_text(file.read_text().replace('values["stiffness"]', 'values["zzz"]'))
-    run(path, out, until="compare")
     done = call("add", out, "strut_for_test@3+Z=stiffness:2e4", "--own", file)
     assert done.exit_code == 1
     assert "dynamic_stiffness of strut_for_test, a kind of your own, failed: KeyError: 'zzz'" in done.stderr
@@ -149,12 +159,10 @@ def test_an_error_in_a_law_of_ones_own_is_told_with_its_file_and_method(tmp_path
     assert "values has stiffness" in done.stderr
 
 
-def test_a_missing_diagnosis_names_the_test_file_that_makes_it(tmp_path):
-    path, out = measurements.write_test(tmp_path, operating=False), tmp_path / "out"
-    run(path, out, until="compare")
+def test_a_missing_diagnosis_names_the_test_file_that_makes_it(compared, out):
     done = call("diagnose", out)
     assert done.exit_code == 1
-    assert f"`operando run {path} -o {out}` makes it" in done.stderr
+    assert f"`operando run {compared} -o {out}` makes it" in done.stderr
 
 
 def test_the_list_has_all_kinds_with_parameters_units_and_locations():

@@ -240,38 +240,40 @@ def same(a, b):
         assert json.dumps(a[key]) == json.dumps(b[key])
 
 
-def test_effects_added_and_taken_back_are_those_of_the_command_line(site, chain_test, tmp_path):
-    """Through the browser and by ``operando add`` and ``remove``: the same documents."""
-    other = tmp_path / "other"
-    shutil.copytree(chain_test / "results", other)
-    first = json.loads((other / "diagnosis.json").read_text())
-    assert first["effects"]
-    site.do("add", kind="point_mass", dofs=["2+Z"], values={"mass": "0.1"}, fix=False)
-    assert site.done()["error"] is None
-    assert CliRunner().invoke(main, ["add", str(other), "point_mass@2+Z=mass:0.1", "-q"]).exit_code == 0
-    ours, theirs = (json.loads((folder / "diagnosis.json").read_text()) for folder in (site.bench.folder, other))
-    same(ours, theirs)
-    assert len(ours["ladder"]) == len(first["ladder"]) + 1
-    page = site.get("/missing").text
-    assert "point mass at 2+Z" in page
-    assert "Effects were added or taken out by hand" in page
-    site.do("remove", step=1)
-    assert site.done()["error"] is None
-    assert CliRunner().invoke(main, ["remove", str(other), "1", "-q"]).exit_code == 0
-    same(*(json.loads((folder / "diagnosis.json").read_text()) for folder in (site.bench.folder, other)))
+def test_effects_taken_back_and_added_are_those_of_the_command_line(site, chain_test, tmp_path):
+    """Through the browser and by ``operando remove`` and ``add``: the same documents; candidates and the suggestion by their buttons."""
 
+    def copied(name):
+        shutil.copytree(chain_test / "results", tmp_path / name)
+        return str(tmp_path / name)
 
-def test_a_candidate_and_the_suggestion_are_added(site):
-    found = site.bench.results.diagnosis
+    def documents(other):
+        return [json.loads((folder / "diagnosis.json").read_text()) for folder in (site.bench.folder, tmp_path / other)]
+
+    found, other = site.bench.results.diagnosis, copied("other")
+    assert found["effects"]
     site.do("remove", step=1)
     assert site.done()["error"] is None
     assert site.bench.results.diagnosis["effects"] == []
+    assert CliRunner().invoke(main, ["remove", other, "1", "-q"]).exit_code == 0
+    same(*documents("other"))
     site.do("candidate", number=0)
     assert site.done()["error"] is None
     assert site.bench.results.diagnosis["effects"][0]["kind"] == found["candidates"][0]["kind"]
     site.do("suggested")
     assert site.done()["error"] is None
-    assert [e["kind"] for e in site.bench.results.diagnosis["effects"]] == [e["kind"] for e in found["effects"]]
+    suggested = site.bench.results.diagnosis
+    assert [e["kind"] for e in suggested["effects"]] == [e["kind"] for e in found["effects"]]
+    third = copied("third")
+    site.do("add", kind="point_mass", dofs=["2+Z"], values={"mass": "0.1"}, fix=False)
+    assert site.done()["error"] is None
+    assert CliRunner().invoke(main, ["add", third, "point_mass@2+Z=mass:0.1", "-q"]).exit_code == 0
+    ours, theirs = documents("third")
+    same(ours, theirs)
+    assert len(ours["ladder"]) == len(suggested["ladder"]) + 1
+    page = site.get("/missing").text
+    assert "point mass at 2+Z" in page
+    assert "Effects were added or taken out by hand" in page
     site.do("candidate", number=999)
     assert "no candidate" in site.done()["error"]["error"]
 
