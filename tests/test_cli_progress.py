@@ -68,7 +68,8 @@ def test_every_stage_has_its_typical_time():
     assert [duration(s) for s in (4.4, 100, 7200)] == ["4 s", "2 min", "2.0 h"]
 
 
-def test_lines_quiet_and_verbose(path, tmp_path):
+def test_lines_quiet_and_verbose(path, tmp_path, monkeypatch):
+    monkeypatch.setattr("operando.report.write_report", lambda results, path: path.write_text(results.name, encoding="utf-8"))
     plain = call("ema", path, "-o", tmp_path / "plain").stderr
     assert "ema      done in" in plain
     assert "order search" not in plain

@@ -45,9 +45,20 @@ def points(steps):
     return written | {"manifest": manifest, "name": max(i for i, s in enumerate(steps, 1) if s == "rename model.h5")}
 
 
-@pytest.mark.parametrize("fault", faults.FAULTS)
-@pytest.mark.parametrize("where", ["ema.h5", "manifest", "report.html", "name"])
-def test_a_fault_at_a_write_leaves_old_results_whole_or_none(small, tmp_path, fault, where):
+# each fault at two of the three places where new files are written, and where the old ones go
+@pytest.mark.parametrize(
+    ("where", "fault"),
+    [
+        ("ema.h5", "kill"),
+        ("ema.h5", "full"),
+        ("manifest", "full"),
+        ("manifest", "interrupt"),
+        ("report.html", "interrupt"),
+        ("report.html", "kill"),
+        *(("name", fault) for fault in faults.FAULTS),
+    ],
+)
+def test_a_fault_at_a_write_leaves_old_results_whole_or_none(small, tmp_path, where, fault):
     test, older, newer, steps = small
     out = tmp_path / "out"
     shutil.copytree(older, out)

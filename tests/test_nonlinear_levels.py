@@ -30,7 +30,7 @@ def measured():
     """FRFs from the first DOF at two levels, by the local rational estimate: lines, and {(kind, level): (m, L)}."""
     cases = {kind: [(where[0], kind, values)] for kind, (where, values) in EFFECTS.items()}
     levels = (2.0, 0.5)
-    records = measure_many(STRIP, cases, seconds=32.0, drive_at=(0,), levels=levels, run_in=3.0, fine=4)
+    records = measure_many(STRIP, cases, seconds=20.0, drive_at=(0,), levels=levels, run_in=3.0, fine=4)
     frfs = {(k, s): estimate_frf([r], estimator="lrm") for k, runs in records.items() for s, r in zip(levels, runs, strict=True)}
     hz = next(iter(frfs.values())).frequencies_hz
     inside = (hz > 5) & (hz < 90)

@@ -352,7 +352,7 @@ def test_a_checker_sees_the_types(tmp_path):
         "operando.fit_ema(model)\n"
         "operando.nonsense\n"
     )
-    command = ["-m", "mypy", "--strict", "--follow-imports=silent", "--ignore-missing-imports", "--cache-dir", str(tmp_path), "user.py"]
+    command = ["-m", "mypy", "--strict", "--follow-imports=silent", "--ignore-missing-imports", "--cache-dir", os.devnull, "user.py"]
     environment = {**os.environ, "MYPYPATH": str(SOURCE.parent)}
     told = subprocess.run([sys.executable, *command], cwd=tmp_path, env=environment, capture_output=True, text=True).stdout
     for words in (
