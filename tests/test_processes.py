@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from operando import processes
+from operando.diagnosis import diagnose_modes
 from operando.diagnosis.terms import Term
 from operando.processes import side_by_side
+from test_diagnose_modes import KINDS, SPRING, chain, idle_of, running
 
 here = pytest.mark.skipif(not processes.CAN_FORK, reason="processes are forked on Linux only")
 
@@ -128,3 +130,17 @@ class Law:
 @here
 def test_results_of_types_of_a_caller_come_back_too():
     assert side_by_side(lambda n: (slowly(n), Law((float(n),)))[1], range(6)) == [Law((float(n),)) for n in range(6)]
+
+
+@here
+def test_a_diagnosis_in_two_processes_is_that_of_one(monkeypatch):
+    """The tests that run beside one another have one process each."""
+    structure, forked, fork = chain(), [], os.fork
+    monkeypatch.setattr(os, "fork", lambda: forked.append(1) or fork())
+    asked = (idle_of(structure), running(structure, SPRING))
+    two = diagnose_modes(*asked, kinds=KINDS).to_dict()
+    assert forked
+    forked.clear()
+    monkeypatch.setattr(processes, "cores", lambda: 1)
+    assert diagnose_modes(*asked, kinds=KINDS).to_dict() == two
+    assert not forked
