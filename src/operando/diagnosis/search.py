@@ -255,15 +255,10 @@ class Search:
         if self.start is None and self.depth and self.best() is not empty and self.best().alpha > LOOSE:
             empty.robustly = True  # what something else suggested explains little: beside it what the lines themselves say
             self._robust_stage(empty)
-        begun = len(self.best().terms)
-
-        def beyond() -> bool:
-            """Whether there are more effects than were to be looked for: what else may explain the lines comes before further ones."""
-            return len(self.best().terms) - begun > self.depth
-
+        most = len(self.best().terms) + self.depth  # with more effects, what else may explain the lines comes before further ones
         for _ in range(self.depth):
             was = self.best()
-            if beyond():
+            if len(was.terms) > most:
                 break
             if was.alpha > LOOSE and not was.robustly:  # else a scan about it, of first order in all unknowns, sees what can be seen
                 was.robustly = True
@@ -271,9 +266,9 @@ class Search:
                 self.ended = self.depth > 1 and not (was.terms or self._enough()) and self.simpler()
                 if self.ended:
                     break
-                if self.depth > 1 and self.best().alpha > LOOSE and not beyond():
+                if self.depth > 1 and self.best().alpha > LOOSE and len(self.best().terms) <= most:
                     self.one_more_about(was, approached)
-                if beyond() or self._enough() or self._behind(was, _LITTLE, ()):
+                if len(self.best().terms) > most or self._enough() or self._behind(was, _LITTLE, ()):
                     break
             self._grow()
             if self.given_up:
