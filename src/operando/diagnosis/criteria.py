@@ -92,6 +92,15 @@ BETWEEN_STD, LEAST_BETWEEN_STD = 0.3, 0.5
 whole shape: errors of suggestions are 0.2 to 0.5 of it in frames, none beyond four times (half of the second leaves one in 100 there, of
 members that bend between their ends), and less in rotors (``benchmarks/hidden_effects/between.py``)."""
 
+COMMON_BETWEEN = (0.08, 0.02)
+"""Standard deviation of the factor that all shapes between two sensors have in common over what these suggest, by a straight line and by a
+spline: 0.07 and 0.011 in frames, 0.015 and 0.003 in rotors (``benchmarks/hidden_effects/between.py``). No FRF tells it from the size."""
+
+SCALE_BETWEEN, SCALE_BETWEEN_STD = -2.0, 1.5
+"""Logarithm of the error of all shapes at a place between sensors in these standard deviations, and its spread: −1.4 ± 0.8 (straight line)
+and −1.3 ± 0.8 (spline) at places of frames, −3.6 ± 1.3 and −4.0 ± 1.6 of rotors (``benchmarks/hidden_effects/between.py``).
+"""
+
 WITHOUT_SENSOR = 9.0
 """By how much the squared errors of operational frequencies over their variances fall without a mass that a sensor alone brought: three
 standard deviations."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry
-from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS
+from operando.diagnosis.criteria import BETWEEN_STD, COMMON_BETWEEN, LEAST_BETWEEN_STD, NEIGHBOURS
 from operando.diagnosis.idle import Idle
 from operando.dof import Dof, split_node
 from operando.errors import DataError, DofError
@@ -20,6 +20,7 @@ from operando.structure.effects import spline_weights
 Array = NDArray[Any]
 
 _MOST = 24  # places, the closest neighbours first
+TOGETHER = 2  # unknowns of a place, the first ones, that move all its shapes together
 _OFF_MIDDLE = 1 / np.sqrt(48)  # of the way between two sensors: uniformly anywhere nearer to their middle than to the next two
 
 
@@ -136,9 +137,20 @@ def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None 
     node = max(split_node(n)[1] for n in (*geometry.nodes, *(d.node for d in idle.dofs)))
     dofs = [Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places)]
     weights = np.array([p.weights for p in places])
-    # each shape by itself, and all by where exactly the place is
-    own = np.array([np.column_stack([np.diag(shape_spread(p, idle.phi, idle.f, idle.modes)), p.along @ idle.phi]) for p in places])
-    return idle.with_dofs(dofs, weights, weights @ idle.phi, own, [p.position for p in places])
+    phi = weights @ idle.phi
+
+    def unknown(place: Midway, suggested: Array) -> Array:
+        """All shapes by where exactly the place is (``TOGETHER``), and by one factor: a member bends in many modes; and each by itself."""
+        each = np.diag(shape_spread(place, idle.phi, idle.f, idle.modes))
+        return np.column_stack([place.along @ idle.phi, COMMON_BETWEEN[order_of(place) - 1] * suggested, each])
+
+    own = np.array([unknown(place, row) for place, row in zip(places, phi, strict=True)])
+    return idle.with_dofs(dofs, weights, phi, own, [p.position for p in places])
+
+
+def order_of(place: Midway) -> int:
+    """Of the polynomials that suggest a shape: 1 for a straight line, 2 for a spline, which the square of a wave's length goes with."""
+    return 2 if np.any(place.weights != place.doubt) else 1
 
 
 def shape_spread(place: Midway, phi: Array, hz: Array, modes: Array) -> Array:
@@ -147,7 +159,7 @@ def shape_spread(place: Midway, phi: Array, hz: Array, modes: Array) -> Array:
     The error of a straight line over a wave of so many sensors goes with the square of their distance over the wave's length, that of a
     spline with its fourth power: in a structure that bends, with the frequency and with its square.
     """
-    order = 2 if np.any(place.weights != place.doubt) else 1
+    order = order_of(place)
     # what lies outside the band stands for shapes of many waves, which no neighbour tells
     by_near, by_all = np.ones(hz.size), np.full(hz.size, LEAST_BETWEEN_STD)
     if modes.size:

@@ -1,41 +1,66 @@
 """Sizes of effects between sensors, from the evidence with the size held.
 
 The shape at such a place is hardly known, and an effect moves the FRFs by its size times the shape squared. Along this valley the likeliest
-point runs to sizes far too large, with a shape near zero, where the volume of all else that explains the lines is small.
+point runs to sizes far too large, with a shape near zero, where the volume of all else that explains the lines is small. How well the
+neighbours suggest the shape of one place, all modes together, differs more from place to place than any one spread tells: it is unknown.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.special import logsumexp
 
+from operando.diagnosis.criteria import SCALE_BETWEEN, SCALE_BETWEEN_STD
 from operando.diagnosis.forward import Point
+from operando.diagnosis.midway import TOGETHER
 from operando.diagnosis.posterior import State, names
-from operando.diagnosis.rival import fitted_if_can_be
+from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import Say
 from operando.diagnosis.search import Found
 
 Array = NDArray[Any]
-_KNOWN = 0.1  # standard deviation of the logarithm of a size from which it is looked at: known better, there is no such valley
 _STEP = float(np.log(2))  # of the logarithm of a size, at most, from one that is held to the next: else one standard deviation
+_NEAR, _BESIDE = 10.0, 2  # nats below the best, and number, of states whose sizes are held as well: the scale of errors is worth as much
 _MOST = 24  # sizes held
-_FALL = 2.0  # nats below the largest evidence at which a side is left
-_WIDEST = 2.0  # standard deviation of the logarithm of a size whose evidence has no curvature
+_FALL = (
+    5.0  # nats below the largest evidence at which a side is left: what is beyond moves no standard deviation by more than some per cent
+)
+_FINE, _ROUNDS = 1.2, 3  # standard deviations of a step, above which the sizes are held again in finer ones, so often at most
+_WIDEST = 2.0  # standard deviation of the logarithm of a size where no other could be held
+_GRID = 400  # sizes between the first and the last held, at which the evidence is summed
+# Logarithms of the error of all shapes at a place, in the standard deviations they are given, which errors have at most: middles of steps.
+_SCALES = np.linspace(-5.95, -0.05, 60)
 
 
 def with_likely_sizes(found: Found, say: Say = lambda text: None) -> Found:
-    """With the most probable state at the size of its largest evidence, where one effect between sensors is in it."""
+    """With states at their mean sizes, where one effect between sensors is in the most probable one: this, and those near it.
+
+    Which location it is, is decided with the errors of its shapes: they are small at the right one, and as large as it takes elsewhere.
+    """
     best = found.best
-    std, first = np.sqrt(np.diag(best.covariance)) if best.terms else np.zeros(0), _first_values(best)
-    at = [n for n, t in enumerate(best.terms) if t.structural and t.values and best.case.idle.midway.keys() & set(t.places)]
-    if len(at) != 1 or std[first[at[0]]] < _KNOWN:
+    if _between(best) is None:
         return found
-    state = at_likely_size(best, at[0])
-    say(f"  by the evidence with its size held: {names(state.case, state.terms)} {state.log_evidence:.1f}")
-    return replace(found, best=state, pool=found.pool | {state.key: state})
+    near = [s for s in found.pool.values() if s is not best and s.log_evidence > best.log_evidence - _NEAR and _between(s) is not None]
+    held: dict[Any, State] = {}
+    for state in [best, *sorted(near, key=lambda s: -s.log_evidence)[:_BESIDE]]:
+        number = _between(state)
+        assert number is not None
+        held[state.key] = at_likely_size(state, number)
+        say(f"  by the evidence with its size held: {names(state.case, state.terms)} {held[state.key].log_evidence:.1f}")
+    return replace(found, best=max(held.values(), key=score), pool=found.pool | held)
+
+
+def _between(state: State) -> int | None:
+    """Which effect of a state stands between sensors, where one does."""
+    midway = state.case.idle.midway.keys()
+    at = [n for n, t in enumerate(state.terms) if t.structural and t.values and midway & set(t.places)]
+    return at[0] if len(at) == 1 else None
 
 
 def at_likely_size(state: State, number: int) -> State:
@@ -50,11 +75,11 @@ def at_likely_size(state: State, number: int) -> State:
     Returns
     -------
     State
-        With the size held, its spread from the curvature of the evidence, and the evidence integrated over it.
+        With the size held at its mean, its standard deviation, and the evidence integrated over it.
     """
     case, term = state.case, state.terms[number]
     mean, std = (float(v[0]) for v in case.prior(term))
-    step = min(float(np.sqrt(state.covariance[_first_values(state)[number], _first_values(state)[number]])), _STEP)
+    between = [place for place in term.places if place in case.idle.midway]
     held: dict[float, State] = {}
 
     def evidence(size: float) -> float:
@@ -67,9 +92,31 @@ def at_likely_size(state: State, number: int) -> State:
             if made is None:
                 return -np.inf
             held[size] = made
-        return held[size].log_evidence - 0.5 * ((size - mean) / std) ** 2 - float(np.log(std)) - 0.5 * float(np.log(2 * np.pi))
+        prior = -0.5 * ((size - mean) / std) ** 2 - float(np.log(std)) - 0.5 * float(np.log(2 * np.pi))
+        return held[size].log_evidence + by_scale(held[size], between) + prior
 
-    first = float(term.values[0])
+    at = _first_values(state)[number]
+    free = float(np.sqrt(state.covariance[at, at]))
+    likely, step = float(term.values[0]), min(free, _STEP)
+    for _ in range(_ROUNDS):
+        known = _walked(evidence, likely, step)
+        if not np.isfinite(known[likely]):  # the size leads to numbers that cannot be
+            return state
+        likely, spread, whole = _moments(known)
+        if step < _FINE * spread:
+            break
+        step = spread
+    if not np.isfinite(evidence(likely)):
+        return state
+    final = held[likely]
+    moves = _moved_by(held, likely, number)
+    # errors of neighbouring modes are alike, and the scale counts them as so many: the spread is no less than where none is estimated
+    spread = max(spread, min(free, _STEP))
+    return replace(final, log_evidence=whole, sizes={number: (spread**2, moves)})
+
+
+def _walked(evidence: Callable[[float], float], first: float, step: float) -> dict[float, float]:
+    """The evidence at sizes in steps to both sides of one, until it has fallen."""
     known = {first: evidence(first)}
     for side in (-1, 1):
         size = first
@@ -78,19 +125,63 @@ def at_likely_size(state: State, number: int) -> State:
             known[size] = evidence(size)
             if not known[size] > max(known.values()) - _FALL:
                 break
-    best = max(known, key=lambda s: known[s])
-    around = [best - step, best, best + step]
-    low, top, high = (known[s] if s in known else evidence(s) for s in around)
-    if not np.isfinite((low, top, high)).all():  # a size beside it leads to numbers that cannot be
-        return state
-    curvature = max((2 * top - low - high) / step**2, _WIDEST**-2)
-    likely = best + float(np.clip((high - low) / (2 * step) / curvature, -step, step))
-    value = evidence(likely)
-    final = held.get(likely, held[best])
-    variance = 1 / curvature
-    moves = _moved_by(held, around, number)
-    size = 0.5 * float(np.log(2 * np.pi * variance))
-    return replace(final, log_evidence=max(value, top) + size, sizes={number: (variance, moves)})
+    return known
+
+
+def _moments(known: dict[float, float]) -> tuple[float, float, float]:
+    """Mean and standard deviation of a size by the evidence with it held, and the logarithm of the integral of that."""
+    sizes = np.array(sorted(size for size, value in known.items() if np.isfinite(value)))
+    if sizes.size < 2:
+        return float(sizes[0]), _WIDEST, known[float(sizes[0])]
+    grid = np.linspace(sizes[0], sizes[-1], _GRID)
+    value = PchipInterpolator(sizes, [known[size] for size in sizes])(grid)
+    weight = np.exp(value - value.max()) * (grid[1] - grid[0])
+    mean = float(weight @ grid / weight.sum())
+    std = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
+    return mean, std, float(value.max() + np.log(weight.sum()))
+
+
+def by_scale(state: State, places: Sequence[int]) -> float:
+    """What the evidence gains where the errors of the shapes at some places have a scale of their own, integrated over it [nats].
+
+    The data tell the unknowns of a place as m with covariance R: their likelihood is that of N(m; 0, P(s) + R) with a scale s, of the
+    errors of each shape by itself, in place of N(m; 0, 1 + R). Errors that are small in all modes tell that s is.
+    """
+    out = 0.0
+    for place in places:
+        covariance, x, beside = _unknowns_at(state, place)
+        v, axes = np.linalg.eigh(covariance)
+        v = np.clip(v, 1e-12, 1 - 1e-9)
+        r, m, n = v / (1 - v), (axes.T @ x) / (1 - v), axes.T @ beside
+        s2 = np.exp(2 * _SCALES)[:, None, None]
+        with_scale = s2 * np.eye(v.size) + (1 - s2) * (n @ n.T) + np.diag(r)
+        squares = np.linalg.solve(with_scale, np.broadcast_to(m[:, None], (len(s2), m.size, 1)))[..., 0] @ m
+        gain = 0.5 * (np.sum(np.log1p(r) + m**2 / (1 + r)) - np.linalg.slogdet(with_scale)[1] - squares)
+        prior = -0.5 * ((_SCALES - SCALE_BETWEEN) / SCALE_BETWEEN_STD) ** 2
+        out += float(logsumexp(gain + prior) - logsumexp(prior))
+    return out
+
+
+def _unknowns_at(state: State, place: int) -> tuple[Array, Array, Array]:
+    """Covariance and values of what is not known of the shapes at a place, and how they follow what the scale is not of.
+
+    That is what moves all shapes together, and those out of the band, which no neighbour tells. The unknowns are directions (terms, e) of
+    all that there are (``Case`` leaves off what no FRF could tell), so P(s) is s² + (1 − s²) N Nᵀ.
+    """
+    problem, forward, idle = state.problem, state.case.forward, state.case.uncompressed
+    start = problem.values_at + problem.n_values
+    for dof, unknowns in problem.reaching:
+        if dof == place:
+            break
+        start += unknowns.size
+    else:
+        raise LookupError(f"no effect reaches the place {place}")
+    at = np.flatnonzero(unknowns < forward.n_shape)
+    every, out_of_band = idle.shapes.own[place], np.setdiff1d(np.arange(idle.f.size), idle.modes)
+    lower = np.linalg.cholesky(every @ every.T)
+    known = np.linalg.solve(lower, forward.idle.shapes.own[place][:, unknowns[at]])
+    beside = np.linalg.solve(lower, every[:, np.r_[:TOGETHER, TOGETHER + out_of_band]])
+    return state.factor.shared_covariance(start)[np.ix_(at, at)], state.x.own[place, unknowns[at]], known.T @ beside
 
 
 def _along_valley(state: State, number: int, size: float) -> Point:
@@ -109,11 +200,11 @@ def _first_values(state: State) -> list[int]:
     return [sum(len(t.values) for t in state.terms[:n]) for n in range(len(state.terms))]
 
 
-def _moved_by(held: dict[float, State], around: list[float], number: int) -> Array:
-    """How the values of all effects follow the size that is held, by their difference over two steps; one for the size itself."""
-    ends = [held.get(s) for s in (around[0], around[2])]
-    values = [np.concatenate([t.values for t in s.terms]) for s in ends if s is not None]
-    here = held[around[1]]
-    moves = (values[1] - values[0]) / (around[2] - around[0]) if len(values) == 2 else np.zeros(here.problem.n_values)
+def _moved_by(held: dict[float, State], size: float, number: int) -> Array:
+    """How the values of all effects follow the size that is held, by their difference between the nearest ones; one for the size itself."""
+    low, high = (min((s for s in held if side * (s - size) > 0), key=lambda s: abs(s - size), default=size) for side in (-1, 1))
+    here = held[size]
+    values = [np.concatenate([t.values for t in held[s].terms]) for s in (low, high)]
+    moves = (values[1] - values[0]) / (high - low) if high > low else np.zeros(here.problem.n_values)
     moves[_first_values(here)[number]] = 1.0
     return np.asarray(moves)
