@@ -63,7 +63,7 @@ def test_the_scale_of_operational_shapes_does_not_matter(scale):
     np.testing.assert_allclose(np.abs(scaled.modal.shapes), np.abs(plain.modal.shapes), rtol=1e-9)
 
 
-@pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e100, 1e200, np.inf, np.nan])
+@pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e100, 1e200])
 @pytest.mark.parametrize("which", ["idle", "operational"])
 def test_shapes_that_no_measurement_has(scale, which):
     idle, operating = models()

@@ -69,8 +69,7 @@ def test_a_field_of_another_kind_is_refused(made: Any):
         (lambda: replace(IDLE, band_hz="x"), "band 'x': no numbers"),
         (lambda: replace(IDLE, band_hz=(60, 10)), "is reversed"),
         (lambda: replace(IDLE, misfit=-1.0), "the reduced chi-square -1 is below 0"),
-        (lambda: replace(IDLE, damping_ratios=[1.0, 2.0]), "a damping ratio of 2 is not between -1 and 1"),
-        (lambda: replace(IDLE, damping_ratios=[0.01, np.nan]), "not between -1 and 1"),
+        (lambda: replace(IDLE, damping_ratios=[0.01, np.nan]), "damping ratios must be finite"),
         (lambda: replace(IDLE, shapes=np.full((2, 2), np.nan)), "shapes must be finite"),
         (lambda: replace(IDLE, residuals="none"), "'residuals' of ModalModel is str 'none', expected ResidualTerms | None"),
         (lambda: Geometry((1, 2), np.eye(3)[:2], lines="x"), "'lines' of Geometry is str 'x', expected tuple[tuple[Node, ...], ...]"),
@@ -113,6 +112,8 @@ def public_functions() -> dict[str, Callable[..., Any]]:
     """Functions that the packages and operando itself name as public."""
     found: dict[str, Callable[..., Any]] = {}
     for room in pkgutil.iter_modules(operando.__path__):
+        if room.name == "__main__":  # the command line, which is not imported by others
+            continue
         module = importlib.import_module(f"operando.{room.name}")
         found |= {f"{room.name}.{name}": getattr(module, name) for name in getattr(module, "__all__", ())}
     found |= {name: getattr(operando, name) for name in operando.__all__}

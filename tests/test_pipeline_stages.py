@@ -12,7 +12,7 @@ import pytest
 
 import models
 from measurements import running_chain
-from operando.data import Finding
+from operando.data import Finding, Geometry
 from operando.pipeline import cache
 from operando.pipeline.cache import Kept, apart, in_model, load_stage, save_stage, stage_file
 from operando.pipeline.folder import HIDDEN, MODEL, adopt, results_folder
@@ -201,7 +201,7 @@ def test_a_folder_of_an_earlier_version_is_read(tmp_path, frf):
 
 
 def test_what_a_later_stage_replaced_is_kept_by_the_one_that_found_it():
-    geometry, other = object(), object()
+    geometry, other = (Geometry((1,), [[x, 0.0, 0.0]]) for x in (0.0, 1.0))
     results = Results("chain", geometry=other, inventory=[{"file": "a"}])
     kept = Kept({"geometry": geometry, "inventory": results.inventory, "findings": [1]}, 1.0)
     assert kept.standing(results) == ["inventory"]

@@ -178,7 +178,7 @@ def checked_terms(
     Raises
     ------
     DataError
-        If they do not, a frequency is negative, a damping ratio beyond 1, or a value not finite.
+        If they do not, a frequency is negative, or a value not finite.
     """
     hz = frozen(frequencies_hz, float, 1, "frequencies_hz")
     zeta = frozen(damping_ratios, float, 1, "damping_ratios")
@@ -191,8 +191,8 @@ def checked_terms(
         )
     if not (np.all(np.isfinite(hz)) and np.all(hz >= 0)):
         raise DataError(f"{what}: frequencies must be finite and not negative")
-    if not np.all(np.abs(zeta) <= 1):
-        raise DataError(f"{what}: a damping ratio of {zeta[~(np.abs(zeta) <= 1)][0]:g} is not between -1 and 1", hint="1 % is 0.01")
+    if not np.all(np.isfinite(zeta)):
+        raise DataError(f"{what}: damping ratios must be finite")
     if not np.all(np.isfinite(values)):
         raise DataError(f"{what}: shapes must be finite", hint="leave DOFs out that were not measured")
     return hz, zeta, values

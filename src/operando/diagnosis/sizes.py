@@ -175,7 +175,7 @@ def _unknowns_at(state: State, place: int) -> tuple[Array, Array, Array]:
             break
         start += unknowns.size
     else:
-        raise LookupError(f"no effect reaches the place {place}")
+        raise LookupError(f"no effect of the state reaches DOF {place}")
     at = np.flatnonzero(unknowns < forward.n_shape)
     every, out_of_band = idle.shapes.own[place], np.setdiff1d(np.arange(idle.f.size), idle.modes)
     lower = np.linalg.cholesky(every @ every.T)

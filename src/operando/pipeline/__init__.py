@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from operando.data import explain_arguments
 from operando.pipeline.lacks import lacking
 
 if TYPE_CHECKING:
@@ -26,6 +25,3 @@ if not TYPE_CHECKING:
         from operando.pipeline.runner import run
 
         return run
-
-
-explain_arguments(__name__)

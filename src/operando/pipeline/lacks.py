@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from operando.config import Test
+from operando.errors import ObjectError
 
 
 def lacking(test: Test, stage: str) -> str | None:
@@ -13,7 +14,14 @@ def lacking(test: Test, stage: str) -> str | None:
     test : Test
     stage : str
         One of ``operando.pipeline.STAGES``.
+
+    Raises
+    ------
+    ObjectError
+        If the first argument is no test.
     """
+    if not isinstance(test, Test):
+        raise ObjectError(f"test of lacking is {type(test).__name__}, expected Test", hint="load_test(path) reads one")
     no_idle = None if test.idle else "the test has no [idle] measurement"
     no_operation = None if test.operating else "the test has no [operating] records"
     if stage in ("frf", "ema"):
