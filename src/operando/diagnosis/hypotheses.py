@@ -128,9 +128,9 @@ def search_both(
         same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
         best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)
-    summed = on_a_sum(found.best, geometry)
-    if odds <= 0 and again is not None and geometry is not None and days.elsewhere and (summed or untouched(found.best)):
-        there = with_nothing_touched(same, alone, again, geometry, say, score(found.best if summed else alone))
+    beside = between_sensors(found.best, geometry)
+    if odds <= 0 and again is not None and geometry is not None and days.elsewhere and (beside or untouched(found.best)):
+        there = with_nothing_touched(same, alone, again, geometry, say, score(found.best if beside else alone))
         if there is not None:
             return there
     return (same if odds > 0 else found), odds

@@ -28,9 +28,7 @@ Array = NDArray[Any]
 _STEP = float(np.log(2))  # of the logarithm of a size, at most, from one that is held to the next: else one standard deviation
 _NEAR, _BESIDE = 10.0, 2  # nats below the best, and number, of states whose sizes are held as well: the scale of errors is worth as much
 _MOST = 24  # sizes held
-_FALL = (
-    5.0  # nats below the largest evidence at which a side is left: what is beyond moves no standard deviation by more than some per cent
-)
+_FALL = 5.0  # nats below the largest evidence at which a side is left: what is beyond moves a standard deviation by some per cent
 _FINE, _ROUNDS = 1.2, 3  # standard deviations of a step, above which the sizes are held again in finer ones, so often at most
 _WIDEST = 2.0  # standard deviation of the logarithm of a size where no other could be held
 _GRID = 400  # sizes between the first and the last held, at which the evidence is summed
@@ -44,27 +42,24 @@ def with_likely_sizes(found: Found, say: Say = lambda text: None) -> Found:
     Which location it is, is decided with the errors of its shapes: they are small at the right one, and as large as it takes elsewhere.
     """
     best = found.best
-    if _between(best) is None:
+    if len(_between(best)) != 1:
         return found
-    near = [s for s in found.pool.values() if s is not best and s.log_evidence > best.log_evidence - _NEAR and _between(s) is not None]
-    held: dict[Any, State] = {}
+    near = [s for s in found.pool.values() if s is not best and s.log_evidence > best.log_evidence - _NEAR and len(_between(s)) == 1]
+    held = {}
     for state in [best, *sorted(near, key=lambda s: -s.log_evidence)[:_BESIDE]]:
-        number = _between(state)
-        assert number is not None
-        held[state.key] = at_likely_size(state, number)
-        say(f"  by the evidence with its size held: {names(state.case, state.terms)} {held[state.key].log_evidence:.1f}")
+        held[state.key] = now = at_likely_size(state, *_between(state))
+        say(f"  by the evidence with its size held: {names(now.case, now.terms)} {now.log_evidence:.1f}")
     return replace(found, best=max(held.values(), key=score), pool=found.pool | held)
 
 
-def _between(state: State) -> int | None:
-    """Which effect of a state stands between sensors, where one does."""
+def _between(state: State) -> list[int]:
+    """Which effects of a state stand between sensors."""
     midway = state.case.idle.midway.keys()
-    at = [n for n, t in enumerate(state.terms) if t.structural and t.values and midway & set(t.places)]
-    return at[0] if len(at) == 1 else None
+    return [n for n, t in enumerate(state.terms) if t.structural and t.values and midway & set(t.places)]
 
 
 def at_likely_size(state: State, number: int) -> State:
-    """A state at the size of an effect for which its evidence, all else integrated out, is largest.
+    """A state at the mean size of an effect by its evidence with the size held, all else integrated out.
 
     Parameters
     ----------
