@@ -37,6 +37,7 @@ from operando.diagnosis.hypotheses import (
     instead_of_two,
     mode_with_nothing_touched,
     on_a_sum,
+    search_both,
     search_elsewhere,
     with_mode,
 )
@@ -319,6 +320,33 @@ def test_one_effect_between_sensors_is_looked_for_where_several_stand_beside_its
     state = SimpleNamespace(terms=tuple(Term(kind, places, (0.0,)) for kind, places in terms), case=SimpleNamespace(dofs=DOFS))
     assert between_sensors(state, LINE) == asked
     assert not between_sensors(state, None)
+
+
+@pytest.mark.parametrize(("places", "asked"), [([(1,), (2,)], True), ([(1,), (3,)], False)])
+def test_what_another_day_has_at_both_neighbours_is_held_against_one_effect_between_them(places, asked, monkeypatch):
+    """With nothing touched: two dampers at sensors, on another day, stood for one between them."""
+
+    def state(terms, value):
+        return SimpleNamespace(terms=terms, log_evidence=value, alpha=0.1, case=SimpleNamespace(dofs=DOFS), key=value)
+
+    empty, best = state((), -90.0), state(tuple(Term("ground_damper", at, (0.0,)) for at in places), -10.0)
+    days = SimpleNamespace(forward=SimpleNamespace(start=None), elsewhere=True)
+    stands = {
+        "fit": lambda *args: state((), -100.0),
+        "Rival": lambda *args: SimpleNamespace(score=-100.0),
+        "search": lambda case, *args, **how: Found(best if case is days else empty, empty, {}),
+        "score": lambda state: state.log_evidence,
+        "untouched": lambda state: False,
+        "promotions": lambda state: [],
+        "grown_by_a_mode": lambda states: [],
+    } | dict.fromkeys(("no_effect_at_a_sensor", "mode_with_nothing_touched", "as_channels_were", "back_to_one_set_up"), lambda *args: None)
+    for name, does in stands.items():
+        monkeypatch.setattr(hypotheses, name, does)
+    bars = []
+    monkeypatch.setattr(hypotheses, "with_nothing_touched", lambda *args: bars.append(args[-1]))
+    found, odds = search_both(days, SimpleNamespace(), again=lambda idle: [], geometry=LINE)
+    assert bars == [-10.0] * asked
+    assert (found.best, odds) == (best, -80.0)
 
 
 def test_places_between_sensors_are_those_of_neighbours_with_what_they_suggest():
