@@ -263,6 +263,19 @@ def test_a_pole_below_the_lines_stands_where_the_tails_have_no_kernel(first_hz, 
         assert abs(fit.poles.hz[0] - HZ[~inside][-1]) < 3 * fit.frequency_std_hz[0]
 
 
+@pytest.mark.parametrize(("start", "there"), [(choose.BELOW, True), (0.6, False)])
+def test_a_mode_just_below_the_lines_is_found_from_where_it_is_looked_for(start, there, monkeypatch):
+    """At 0.98 of the lowest line, from BELOW; not from the kernel of the tails."""
+    monkeypatch.setattr(choose, "BELOW", start)
+    first_hz = 22.0 / 0.98
+    f = np.arange(first_hz, 150, 0.1)
+    c, h = frfs(f=f)
+    frf, inside = as_frf(h, f=f), first_hz < HZ
+    pairs = frf_pairs(frf, model_dofs(frf), (first_hz, 150.0))
+    _, log = choose_modes(pairs, Poles(HZ[inside], c.zeta[inside]), (first_hz, 150.0))
+    assert any(text.startswith("below the lines") for text in log.rounds) == there
+
+
 def test_a_flank_is_taken_for_no_mode_where_model_error_rules():
     f = np.arange(45.0, 150, 0.1)
     c, h = frfs(f=f)
