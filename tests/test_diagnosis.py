@@ -273,7 +273,7 @@ def test_derivatives_are_those_of_the_frfs(responses, residual, straight, assume
             exact.shared[..., i], wanted, rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17, err_msg=f"{names_of[i]} {i}"
         )
     order = forward.order(terms)
-    reaching = {dof: set(at.tolist()) for dof, at in problem.reaching}
+    reaching = {dof: set(at.tolist()) for dof, at, _ in problem.reaching}
     for row, k in product(range(order.size), range(forward.n_own)):
         dof = int(order[row])
         if k in reaching.get(dof, ()):
@@ -351,7 +351,7 @@ def test_the_model_handed_out_is_the_one_that_was_fitted():
     # its variance is that of the fit, by what reaches the structure
     structure = np.ones(problem.n_shared, bool)
     structure[forward.n_g : forward.n_g + forward.n_d] = False
-    structure[problem.values_at + problem.n_values :] = np.concatenate([at < forward.n_shape for _, at in problem.reaching])
+    structure[problem.values_at + problem.n_values :] = np.concatenate([at < forward.n_shape for _, at, _ in problem.reaching])
     root = factor.root()
     made = forward.predict(x, one.lines.w[one.lines.fit])
     variance = np.zeros(wanted.shape)

@@ -199,11 +199,9 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
             sign = term.sign if number == 0 and not term.definition.removable else 1
             shared[row + number, column + number] = sign * term.slope(number, case.band)
         row, column = row + size, column + size
-    at = problem.values_at + problem.n_values
-    for dof, reaching in problem.reaching:
-        shared[at : at + reaching.size] = own[dof][reaching]
+    for dof, reaching, at in problem.reaching:
+        shared[at] = own[dof][reaching]
         own[dof][reaching] = 0
-        at += reaching.size
     by_response = own[problem.order]
     a, b = state.factor.whitened(shared, by_response)
     joint = a.T @ a + np.tensordot(b, b, ((0, 1), (0, 1)))

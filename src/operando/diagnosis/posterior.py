@@ -95,10 +95,8 @@ class State:
         forward = self.case.forward
         out = np.ones((forward.n_dofs, forward.n_own))
         out[self.problem.order] = np.sqrt(own)
-        start = self.problem.values_at + self.problem.n_values
-        for dof, at in self.problem.reaching:
-            out[dof, at] = np.sqrt(shared[start : start + at.size])
-            start += at.size
+        for dof, at, among_shared in self.problem.reaching:
+            out[dof, at] = np.sqrt(shared[among_shared])
         return np.sqrt(shared[forward.n_g : forward.n_g + forward.n_d]), out
 
     def differences(self) -> Iterator[tuple[str, bool, Array, Array, tuple[Any, ...]]]:

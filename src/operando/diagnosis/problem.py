@@ -51,8 +51,10 @@ class Problem:
         self.n_u = len(forward.outside(terms))
         self.n_values = sum(len(t.values) for t in terms)
         self.values_at = forward.n_g + forward.n_d + self.n_u
-        self.reaching = [(int(dof), forward.reaching) for dof in forward.reaching_dofs(terms)]
-        self.n_shared = self.values_at + self.n_values + sum(at.size for _, at in self.reaching)
+        dofs, first, size = forward.reaching_dofs(terms), self.values_at + self.n_values, forward.reaching.size
+        # DOF, which of its own unknowns, and where they stand among the shared ones
+        self.reaching = [(int(dof), forward.reaching, slice(first + n * size, first + (n + 1) * size)) for n, dof in enumerate(dofs)]
+        self.n_shared = first + len(dofs) * size
         self.order = forward.order(terms)
         means, stds = zip(*(case.prior(t) for t in terms), strict=True) if terms else ((), ())
         self.mean = np.zeros(self.n_shared)
@@ -66,7 +68,7 @@ class Problem:
         """Unknowns of a point; own ones by DOF."""
         own = np.array(x.own)
         far = []
-        for dof, at in self.reaching:
+        for dof, at, _ in self.reaching:
             far.append(own[dof, at])
             own[dof, at] = 0
         values = [np.array(t.values) for t in x.terms]
@@ -74,11 +76,10 @@ class Problem:
 
     def point(self, step: Step) -> Point:
         forward = self.forward
-        g, d, u, values, far = np.split(step.shared, np.cumsum([forward.n_g, forward.n_d, self.n_u, self.n_values]))
-        own, start = np.array(step.own), 0
-        for dof, at in self.reaching:
-            own[dof, at] = far[start : start + at.size]
-            start += at.size
+        g, d, u, values, _ = np.split(step.shared, np.cumsum([forward.n_g, forward.n_d, self.n_u, self.n_values]))
+        own = np.array(step.own)
+        for dof, at, shared in self.reaching:
+            own[dof, at] = step.shared[shared]
         return Point(g, d, own, u, tuple(moved(self.terms, values)))
 
     def by_response(self, own: Array) -> Array:
@@ -151,7 +152,7 @@ class Problem:
         return Step(shared, self._without_reaching(self.by_dof(own)))
 
     def _without_reaching(self, own: Array) -> Array:
-        for dof, at in self.reaching:
+        for dof, at, _ in self.reaching:
             own[dof, at] = 0
         return own
 
@@ -171,10 +172,7 @@ class Problem:
         metric = np.zeros((self.n_shared, self.n_shared))
         values = np.arange(self.values_at, self.values_at + self.n_values)
         metric[values, values] = 1
-        far, start = {}, self.values_at + self.n_values
-        for dof, at in self.reaching:
-            far[dof] = start, at
-            start += at.size
+        far = {dof: (shared.start, at) for dof, at, shared in self.reaching}
         for dof in {*touched(self.terms), *forward.references.tolist()}:
             least = np.maximum(np.abs(made.phi[dof]), _SMALL * rms)
             by = np.zeros((forward.n_terms, self.n_shared))

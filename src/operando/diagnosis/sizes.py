@@ -163,20 +163,14 @@ def _unknowns_at(state: State, place: int) -> tuple[Array, Array, Array]:
     That is what moves all shapes together, and those out of the band, which no neighbour tells. The unknowns are directions (terms, e) of
     all that there are (``Case`` leaves off what no FRF could tell), so P(s) is s² + (1 − s²) N Nᵀ.
     """
-    problem, forward, idle = state.problem, state.case.forward, state.case.uncompressed
-    start = problem.values_at + problem.n_values
-    for dof, unknowns in problem.reaching:
-        if dof == place:
-            break
-        start += unknowns.size
-    else:
-        raise LookupError(f"no effect of the state reaches DOF {place}")
+    forward, idle = state.case.forward, state.case.uncompressed
+    ((unknowns, shared),) = ((one, where) for dof, one, where in state.problem.reaching if dof == place)
     at = np.flatnonzero(unknowns < forward.n_shape)
     every, out_of_band = idle.shapes.own[place], np.setdiff1d(np.arange(idle.f.size), idle.modes)
     lower = np.linalg.cholesky(every @ every.T)
     known = np.linalg.solve(lower, forward.idle.shapes.own[place][:, unknowns[at]])
     beside = np.linalg.solve(lower, every[:, np.r_[:TOGETHER, TOGETHER + out_of_band]])
-    return state.factor.shared_covariance(start)[np.ix_(at, at)], state.x.own[place, unknowns[at]], known.T @ beside
+    return state.factor.shared_covariance(shared.start)[np.ix_(at, at)], state.x.own[place, unknowns[at]], known.T @ beside
 
 
 def _along_valley(state: State, number: int, size: float) -> Point:

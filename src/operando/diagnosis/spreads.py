@@ -37,10 +37,8 @@ def covariance(problem: Problem, factor: Factor) -> tuple[Array, Array, Array]:
     rows[n_d + far :] = root[len(factor.lower) :]
     at_own = np.full((forward.n_dofs, k), -1)
     at_own[problem.order] = n_d + far + np.arange(own).reshape(-1, k)
-    start = n_d
-    for dof, at in problem.reaching:
-        at_own[dof, at] = start + np.arange(at.size)
-        start += at.size
+    for dof, at, shared in problem.reaching:
+        at_own[dof, at] = n_d - first + np.arange(shared.start, shared.stop)
     full = np.eye(len(rows) + 1)  # the last one stands for all that no row shows
     full[:-1, :-1] = rows @ rows.T
     return full, np.arange(n_d), np.where(at_own < 0, len(rows), at_own)

@@ -212,7 +212,7 @@ def _what(state: State) -> str:
 
 def unseen_share(state: State) -> tuple[Array, Array]:
     """What acts, over what each mode in band has [%], with standard deviations: of its mass, stiffness or damping."""
-    idle, term, problem = state.case.forward.idle, state.terms[0], state.problem
+    idle, term = state.case.forward.idle, state.terms[0]
     modes, moved = idle.modes, state.case.forward.moved(state.x)
     w0, zeta = 2 * np.pi * moved.f[modes], moved.zeta[modes]
     f_root, zeta_root = moved.by_f[modes] / moved.f[modes, None], moved.by_zeta[modes] / zeta[:, None]
@@ -230,9 +230,8 @@ def unseen_share(state: State) -> tuple[Array, Array]:
         [-share[:, None] * by_g, *(2 * (unit * row)[:, None] * idle.shapes.own[i, modes] for i, row in zip(at, shapes, strict=True))],
         axis=1,
     )
-    reaching = np.concatenate([[dof] * unknowns.size for dof, unknowns in problem.reaching])
-    own = [np.flatnonzero(reaching == i)[: state.case.forward.n_shape] for i in at]
-    unknowns = np.concatenate([np.arange(idle.f_root.shape[1]), problem.values_at + problem.n_values + np.concatenate(own)])
+    own = {dof: shared.start + np.arange(state.case.forward.n_shape) for dof, _, shared in state.problem.reaching}
+    unknowns = np.concatenate([np.arange(idle.f_root.shape[1]), *(own[i] for i in at)])
     covariance = state.factor.shared_covariance(0)[np.ix_(unknowns, unknowns)]
     return share, np.sqrt(np.einsum("mi,ij,mj->m", slope, covariance, slope))
 
