@@ -252,7 +252,7 @@ def test_a_size_that_is_held_begins_where_the_frfs_are_the_same(size):
     assert np.abs(along - as_fitted).max() < 0.05 * np.abs(as_it_was - as_fitted).max()
     held = with_likely_sizes(Found(state, state, {state.key: state})).best
     # four sensors on this beam suggest its third shape 2.5 standard deviations off, and the size follows that; the next valley is at 3
-    assert held.terms[0].values[0] == pytest.approx(np.log(size), abs=0.5)
+    assert abs(held.terms[0].values[0] - np.log(size)) < 2.5 * np.sqrt(held.covariance[0, 0])
     assert held.covariance[0, 0] > 0.1**2
 
 

@@ -48,6 +48,17 @@ def motions(structure: Structure, what: str, rng: np.random.Generator) -> np.nda
     return rows if what == "mass" else rows[[int(np.argmax(moving[3 * node : 3 * node + 3]))]]
 
 
+def identified(structure: Structure, rng: np.random.Generator) -> ModalModel:
+    """The idle model of a structure, with the errors that a test leaves; modes far above the band as residual terms."""
+    f, zeta, phi = structure.hz, structure.zeta, structure.rows
+    shape = np.repeat(STD["shape"] * np.sqrt(np.mean(phi**2, axis=0)), len(phi))
+    std = np.concatenate([STD["frequency"] * f, STD["damping"] * zeta, shape])
+    start = np.concatenate([f, zeta, phi.T.ravel()]) + std * rng.standard_normal(std.size)
+    values = start[: f.size], start[f.size : 2 * f.size], start[2 * f.size :].reshape(f.size, -1).T
+    more = {"residual": f > 1.25 * structure.band[1], "covariance": np.diag(std**2), "band_hz": structure.band}
+    return ModalModel.from_terms(*values, tuple(parse_dofs([s.name for s in structure.sensors])), scaling="unit_modal_mass", **more)
+
+
 def judged(family: str, seed: int, what: str) -> dict[str, object]:
     """One structure: what is found, and the errors of its shares over their standard deviations."""
     structure, rng = draw(family, seed), np.random.default_rng([seed, FAMILIES.index(family), WHAT.index(what)])
@@ -69,14 +80,7 @@ def judged(family: str, seed: int, what: str) -> dict[str, object]:
     dofs = tuple(parse_dofs(names))
     references = tuple(dofs[int(np.flatnonzero((rows == column).all(axis=1))[0])] for column in columns)
     check = Frf(h, hz, dofs, references, variance=np.broadcast_to(noise**2, h.shape).copy())
-    f, zeta, phi = structure.hz, structure.zeta, rows
-    shape = np.repeat(STD["shape"] * np.sqrt(np.mean(phi**2, axis=0)), len(dofs))
-    std = np.concatenate([STD["frequency"] * f, STD["damping"] * zeta, shape])
-    start = np.concatenate([f, zeta, phi.T.ravel()]) + std * rng.standard_normal(std.size)
-    values = start[: f.size], start[f.size : 2 * f.size], start[2 * f.size :].reshape(f.size, -1).T
-    model = ModalModel.from_terms(
-        *values, dofs, residual=f > 1.25 * band[1], scaling="unit_modal_mass", covariance=np.diag(std**2), band_hz=band
-    )
+    model = identified(structure, rng)
 
     def again(other: Idle) -> list[Case]:
         return [Case(other, check, band, {}, correlated=1.0)]
@@ -89,7 +93,7 @@ def judged(family: str, seed: int, what: str) -> dict[str, object]:
     if state is None:
         return row
     share, its_std = unseen_share(state)
-    modes = case.idle.modes
+    modes, f, zeta = case.idle.modes, structure.hz, structure.zeta
     unit = {"point_mass": 1.0, "ground_spring": 1 / (2 * np.pi * f[modes]) ** 2, "ground_damper": 1 / (4 * np.pi * zeta[modes] * f[modes])}
     wanted = 100 * size * np.sum(motion[:, modes] ** 2, axis=0) * unit[LAWS[what]]
     inside = f[modes] < band[1]

@@ -138,6 +138,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     coupling = coupling_of(state, more, float(root**2))
     # b bᵀ + b δᵀ + δ bᵀ = (b + δ)(b + δ)ᵀ − δ δᵀ
     change = phi[:, moved.linear] - moved.phi[:, moved.linear]
+    change[[*moved.midway]] = 0
     taken, change = moved.linear[change.any(axis=0)], change[:, change.any(axis=0)]
     every, beside = np.concatenate([at_rest, taken]), _at_places(state)
     if coupling is not None:
@@ -207,6 +208,8 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     joint = a.T @ a + np.tensordot(b, b, ((0, 1), (0, 1)))
     known = np.full(count, first_value - 1)
     at_shapes = 2 * n + np.concatenate([every, n + np.arange(count)])[:, None] * dofs + kept
+    between_sensors = np.flatnonzero(np.isin(kept, [*moved.midway]))
+    at_shapes[at_rest.size : every.size, between_sensors] = first_value - 1  # no change of these is taken away
     theta = np.concatenate([every, known, n + every, known, at_shapes.ravel()])
     both = np.concatenate([theta, np.arange(first_value, rows)])
     updated, turn = _with_poles(updated)

@@ -63,7 +63,7 @@ class FirstOrder:
     ----------
     terms : (l,) int array
     base, shapes : (DOFs, l) arrays
-        b and b + δ.
+        b and b + δ; both are the shape as it is at places between sensors, where no products were measured.
     k : (lines, l) array
     """
 
@@ -203,7 +203,11 @@ class Derivatives:
         response, driven = sensors * at_force, forces * at_sensor
         reached = np.swapaxes(self.reached[:, p.order], 0, 1)[:, None]  # (responses, 1, lines, touched)
         force = np.transpose(p.force, (2, 0, 1))[None]  # (1, references, lines, touched)
-        touched = [reached[..., i : i + 1] * response - force[..., i : i + 1] * driven for i in range(len(here))]
+        touched = []
+        for i, dof in enumerate(here):
+            at_one, at_other = (force_change, sensor_change) if dof in p.idle.midway else (0.0, 0.0)
+            here_response, here_driven = response + sensors * at_one, driven + forces * at_other
+            touched.append(reached[..., i : i + 1] * here_response - force[..., i : i + 1] * here_driven)
         still = self._still([at_sensor[:, 0], sensor_change[:, 0]], [(at_force + force_change)[0], at_force[0]])
         groups = [[core, 1j * w * core, still], *([v] for v in (response, driven, *touched))]
         if p.lags is not None:

@@ -221,7 +221,9 @@ class Forward:
         there = np.abs(phi).any(axis=tuple(range(phi.ndim - 1)))
         driven, seen = driven * there, seen * there
         shape_k = k.after(phi)
-        first = FirstOrder(idle.linear, idle.phi[:, idle.linear], made.phi[:, idle.linear], k.diagonal[:, idle.linear])
+        base, between = idle.phi[:, idle.linear], [*idle.midway]
+        base[between] = made.phi[between][:, idle.linear]  # the products of these no measurement told: squares of their changes count
+        first = FirstOrder(idle.linear, base, made.phi[:, idle.linear], k.diagonal[:, idle.linear])
         phi = first.started(phi)
         phi_f = np.swapaxes(phi[..., refs, :] + driven, -1, -2)
         h0 = shape_k @ phi_f + first.rest(refs) + own["rest_above"] - own["rest_below"] / line[:, :, None] ** 2

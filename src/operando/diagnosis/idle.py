@@ -99,7 +99,8 @@ class Idle:
         (:func:`operando.diagnosis.poles.with_straight_poles`).
     first_order : bool
         Whether what residual terms add is linear in their changes δ: b bᵀ + b δᵀ + δ bᵀ. Their products were measured and are known well,
-        where the shapes b are not, and the squares of these make a valley that fits crawl along.
+        where the shapes b are not, and the squares of these make a valley that fits crawl along. At places between sensors no product was
+        measured: those are of the shapes as they are.
     """
 
     f: Array
