@@ -16,6 +16,7 @@ from operando.diagnosis import Diagnosis, diagnose_frf, from_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
 from operando.diagnosis.case import COLUMNS, Case
+from operando.diagnosis.contained import contained
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import (
     CONTAINING,
@@ -48,7 +49,6 @@ from operando.diagnosis.search import (
     Found,
     Search,
     Start,
-    contained,
     leaders,
     replaceable,
     search,

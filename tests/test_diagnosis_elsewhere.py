@@ -44,7 +44,7 @@ from operando.diagnosis.hypotheses import (
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import TOGETHER, located, midway, with_midway
-from operando.diagnosis.posterior import fit, leaves_noise, on_validation_lines
+from operando.diagnosis.posterior import fit, leaves_noise, on_validation_lines, unfitted
 from operando.diagnosis.rival import Rival, score, started
 from operando.diagnosis.scan import robust_cost, robust_scan
 from operando.diagnosis.search import _BESIDE, WAYS, Found, Search
@@ -726,9 +726,27 @@ def test_a_channel_whose_own_unknowns_do_the_same_and_are_told_beyond_rounding_i
 def test_an_effect_between_sensors_is_tried_at_the_places_beside_it():
     """The nearest ones of the same axis (``_BESIDE``); one at a sensor, whose shapes are known, stays there."""
     wider = with_midway(Idle.of(identified(), BAND, [DOFS[0], DOFS[3]]), LINE)
-    run = Search(Case(wider, check_of(add_mass).frf, BAND, SAME_SET_UP), lambda text: None)
-    beside = run.beside(Term("point_mass", (N,), (-1.0,)))
-    assert [wider.midway[t.places[0]][0] for t in beside] == [1.5, 2.5, 3.5]
-    assert len(beside) <= _BESIDE
-    assert {(t.kind, t.values) for t in beside} == {("point_mass", (-1.0,))}
-    assert run.beside(Term("point_mass", (1,), (-1.0,))) == []
+    one = Case(wider, check_of(add_mass).frf, BAND, SAME_SET_UP, kinds=("point_mass",))
+
+    def beside(place):
+        mass = Term("point_mass", (place,), (-1.0,))
+        starts = Search(one, lambda text: None).beside(unfitted(one, started(one, (mass,)), 0.1), mass, ())
+        return [t for x in starts for t in x.terms]
+
+    assert [wider.midway[t.places[0]][0] for t in beside(N)] == [1.5, 2.5, 3.5]
+    assert len(beside(N)) <= _BESIDE
+    assert {(t.kind, t.values) for t in beside(N)} == {("point_mass", (-1.0,))}
+    assert beside(1) == []
+
+
+def test_a_mass_between_sensors_is_held_against_an_absorber_there():
+    """With shapes that are hardly known a mass explains what an absorber does; from the shapes that the sensors suggest that is found."""
+    mass, wa, zeta = 0.1, 2 * np.pi * 23.0, 0.08
+    one, place = with_each_second_sensor(0.25, lambda s: mass * s**2 * (wa**2 + 2 * zeta * wa * s) / (s**2 + 2 * zeta * wa * s + wa**2))
+    light = Term("point_mass", (place,), (float(np.log(0.1)),))
+    own = np.ones_like(one.forward.start.own)
+    state = unfitted(one, replace(started(one, (light,)), own=own), 0.1)
+    (start,) = [x for x in Search(one, lambda text: None).beside(state, light, ()) if x.terms[0].kind == "tuned_absorber"]
+    assert start.terms[0].places == (place,)
+    np.testing.assert_allclose(np.exp(start.terms[0].values[:2]), [mass, wa / 2 / np.pi], rtol=0.3)
+    assert not start.own.any()

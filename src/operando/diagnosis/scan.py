@@ -40,8 +40,8 @@ class Candidate:
     start: Point
 
 
-def trials(case: Case, term: Term, count: int) -> list[Term]:
-    """Trial values of a kind at a place."""
+def trials(case: Case, term: Term, count: int, of_absorbers: int = 3) -> list[Term]:
+    """Trial values of a kind at a place: so many sizes, at each frequency of an absorber fewer."""
     kind, definition = term.kind, term.definition
     if not definition.parameters:
         return [term]
@@ -58,7 +58,7 @@ def trials(case: Case, term: Term, count: int) -> list[Term]:
     low, high = case.size_range(kind, term.places)
     if kind == "tuned_absorber":
         at = np.linspace(float(np.log(case.band[0])), float(np.log(case.band[1])), case.lines.frequencies)
-        return [term.moved((s, f, z)) for s in np.linspace(low, high, 3) for f in at for z in np.log((0.01, 0.05))]
+        return [term.moved((s, f, z)) for s in np.linspace(low, high, of_absorbers) for f in at for z in np.log((0.01, 0.05))]
     signs = (1, -1) if definition.removable or definition.coordinates == "separate" else (1,)
     further = [np.linspace(m - s, m + s, 3) for m, s in zip(*(v[1:] for v in case.prior(term)), strict=True)]
     rest = [tuple(float(x) for x in row) for row in np.stack(np.meshgrid(*further), -1).reshape(-1, len(further))] if further else [()]
@@ -142,7 +142,8 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
 
     def best(asked: tuple[bool, Array | None, Term]) -> tuple[float, Term, bool]:
         cut, columns, place = asked
-        some = trials(case, place, case.lines.sizes)
+        # of one place a mass of an absorber is met as closely as other sizes; of all places that takes too long
+        some = trials(case, place, case.lines.sizes, 3 if places is None else case.lines.sizes // 2)
         with np.errstate(all="ignore"):
             if place.structural and columns is not None and isinstance(state, Scannable):
                 patterns, factors = _changes(state, columns, some, w, case.band)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.case import Case
+from operando.diagnosis.contained import contained
 from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE
 from operando.diagnosis.days import no_other_day, promotions, strained
 from operando.diagnosis.forward import Point
@@ -18,7 +19,7 @@ from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, approach, names
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
-from operando.diagnosis.terms import Term, added
+from operando.diagnosis.terms import Term
 from operando.processes import side_by_side
 
 Array = NDArray[Any]
@@ -118,27 +119,6 @@ def search(
 def remounted(state: State) -> bool:
     """Whether more than one channel has changed: then something was touched."""
     return sum(t.definition.acts == "sensor_map" for t in state.terms) > 1
-
-
-def contained(case: Case, term: Term) -> list[Term]:
-    """Simpler kinds that a kind turns into for some of its values, at the same place: a heavy absorber far above its resonance is a
-    spring or a damper to ground, far below it a mass; a spring with little or much loss is a spring or a damper."""
-    if not (term.structural and term.values[1:]):
-        return []
-    size, f = float(np.exp(term.values[0])), np.sqrt(case.band[0] * case.band[1])
-    if term.kind == "tuned_absorber":
-        wa, zeta = 2 * np.pi * float(np.exp(term.values[1])), float(np.exp(term.values[2]))
-        sizes = {"point_mass": size, "ground_spring": size * wa**2, "ground_damper": 2 * zeta * size * wa}
-    else:
-        z = abs(complex(added(term, np.array([2 * np.pi * f]), case.band)[0, 0, 0]))
-        sizes = {"ground_spring": z, "ground_damper": z / (2 * np.pi * f), "ground_hysteretic_spring": z}
-    out = []
-    for kind, value in sizes.items():
-        if kind in case.kinds and kind != term.kind:
-            places = next(node for node in case.nodes if term.places[0] in node) if kind == "point_mass" else term.places
-            further = tuple(float(v) for v in case.prior(Term(kind, places))[0][1:])
-            out.append(Term(kind, places, (float(np.log(value)), *further), term.sign))
-    return out
 
 
 @dataclass(frozen=True)
@@ -450,9 +430,8 @@ class Search:
         """What could stand in the place of each effect: simpler kinds that it contains, and what changes the FRFs as it does."""
         for term in best.terms:
             rest = [t for t in best.terms if t is not term]
-            beside = [t for t in self.beside(term) if self.once([*rest, t])]
-            if beside:
-                self.nearest(best.case, [best.carried([*rest, t]) for t in beside])
+            if beside := self.beside(best, term, rest):
+                self.nearest(best.case, beside)
             starts = [best.carried([*rest, t]) for t in contained(self.case, term) if self.once([*rest, t])]
             if term.values:
                 found, whole = LinearScan(best, held=term).in_place_of(term)
@@ -462,15 +441,23 @@ class Search:
                 starts += [best.carried([*rest, row.term], row.start) for row in able if self.once([*rest, row.term])]
             self.fitted([Start(x, best.alpha, best.case) for x in starts])
 
-    def beside(self, term: Term) -> list[Term]:
-        """The same effect at the nearest places between sensors, where it stands at one: which one it is, its shapes there decide."""
-        where = self.case.idle.midway
+    def beside(self, best: State, term: Term, rest: Sequence[Term]) -> list[Point]:
+        """What an effect between sensors is held against: it at the nearest of these places, which its shapes there decide; and kinds of
+        more values at its own place, from the shapes that the sensors suggest, for its fit has moved them."""
+        case, where = best.case, self.case.idle.midway
         here = where.get(term.places[0]) if len(term.places) == 1 else None
         if here is None:
             return []
-        axis, dofs = self.case.dofs[term.places[0]].axis, self.case.dofs
-        far = {i: float(np.linalg.norm(np.subtract(p, here))) for i, p in where.items() if p is not None and dofs[i].axis == axis}
-        return [replace(term, places=(i,)) for i in sorted(far, key=lambda i: far[i])[1 : 1 + _BESIDE]]
+        axis = case.dofs[term.places[0]].axis
+        far = {i: float(np.linalg.norm(np.subtract(p, here))) for i, p in where.items() if p is not None and case.dofs[i].axis == axis}
+        moved = [replace(term, places=(i,)) for i in sorted(far, key=lambda i: far[i])[1 : 1 + _BESIDE]]
+        own = np.array(best.x.own)
+        own[term.places[0]] = 0
+        about = replace(best.x, own=own) if rest else case.forward.start
+        wider = [t for t in case.candidates(rest) if t.places == term.places and t.kind != term.kind and t.definition.parameters[1:]]
+        rows = robust_scan(case, best.carried(rest, about), wider) if wider else []
+        starts = [best.carried([*rest, t]) for t in moved if self.once([*rest, t])]
+        return starts + [best.carried([*rest, t], about) for _, t, cut in rows if not cut and self.once([*rest, t])]
 
     def _bounded_beside(self, state: State, grown: Sequence[tuple[Term, State]]) -> None:
         """Fits with one effect more than a state that explains the lines: what it cannot add is the difference of their ways."""
