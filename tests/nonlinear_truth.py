@@ -94,48 +94,66 @@ def respond(strip, drive_at, forces, effects, fine=8):
     full[:, : spectrum.shape[1]] = spectrum * fine * 2
     f = fft.irfft(full, n * fine * 2, axis=1)
     f = np.ascontiguousarray(f.T)  # (half steps, runs)
-    phi_f = strip.phi[list(drive_at)].T  # (n_modes, runs)
-    w = 2 * np.pi * strip.hz
-    m, count = w.size, len(effects)
+    count, states = len(effects), 2 * strip.hz.size + len(effects)
     every = [b if b.ndim == 2 else np.repeat(b[:, None], runs, axis=1) for b, _, _ in effects]
-    acts = np.array([np.any(b != 0, axis=0) for b in every], float)  # in which runs
-    rows = np.array([strip.phi.T @ b[:, np.argmax(np.any(b != 0, axis=0))] for b in every])  # an effect has one place
+    acts = [np.any(b != 0, axis=0) for b in every]  # in which runs
+    rows = np.array([strip.phi.T @ b[:, np.argmax(on)] for b, on in zip(every, acts, strict=True)])  # an effect has one place
     assert all(np.array_equal(b, np.outer(b[:, np.argmax(on)], on)) for b, on in zip(every, acts, strict=True))
-    laws = [law_of(kind, p) for _, kind, p in effects]
-    # one product for all that is linear: rates of q and v, those of z (none), x and its rate at each effect
-    linear = np.zeros((2 * m + 3 * count, 2 * m + count))
+    w = 2 * np.pi * strip.hz
+    m = w.size
+    # the state q, v, z, and what acts on it: restoring forces, and the force of each run in the row of its place
+    places = sorted(set(drive_at))
+    now = np.zeros((states + count + len(places), runs))
+    linear = np.zeros((states, len(now)))
     linear[:m, m : 2 * m] = np.eye(m)
     linear[m : 2 * m, :m], linear[m : 2 * m, m : 2 * m] = np.diag(-(w**2)), np.diag(-2 * strip.zeta * w)
-    linear[2 * m + count : 2 * m + 2 * count, :m] = linear[2 * m + 2 * count :, m : 2 * m] = rows
-    back = rows.T.copy()
-
-    def rate(y, force):
-        all_rates = linear @ y
-        x, xv, z = all_rates[2 * m + count : 2 * m + 2 * count], all_rates[2 * m + 2 * count :], y[2 * m :]
-        dy = all_rates[: 2 * m + count]
-        restoring = np.empty((count, runs))
-        for e, (s, ds) in enumerate(laws):
-            restoring[e] = s(x[e], xv[e], z[e])
+    linear[m : 2 * m, states : states + count] = -rows.T
+    linear[m : 2 * m, states + count :] = strip.phi[places].T
+    across = np.zeros((2 * count, 2 * m))  # motion and velocity at each effect
+    across[:count, :m] = across[count:, m:] = rows
+    state, motion, seen = now[:states], now[: 2 * m], np.zeros((2 * count, runs))
+    forced, driven = now[states + count :], np.equal.outer(places, drive_at).astype(float)
+    a1, a2, a3, a4, part = (np.empty((states, runs)) for _ in range(5))
+    laws, rates_of_z = [], []
+    for e, (on, (_, kind, p)) in enumerate(zip(acts, effects, strict=True)):
+        s, ds = law_of(kind, p)
+        if s is not zero and on.any():
+            own = slice(np.argmax(on), np.argmax(on) + np.count_nonzero(on))
+            assert on[own].all(), "the runs of an effect stand side by side"
+            inputs = (seen[e, own], seen[count + e, own], now[2 * m + e, own])
+            laws.append((s, inputs, now[states + e, own]))
             if ds is not zero:
-                dy[2 * m + e] = ds(x[e], xv[e], z[e])
-        restoring *= acts
-        dy[m : 2 * m] += phi_f * force - back @ restoring
-        return dy
+                rates_of_z.append((ds, inputs, e, own))
 
-    y = np.zeros((2 * m + count, runs))
-    out = np.empty((runs, len(strip.at), n))
+    def rate(force, out):
+        np.multiply(driven, force, out=forced)
+        np.matmul(across, motion, out=seen)
+        for s, inputs, restoring in laws:
+            restoring[:] = s(*inputs)
+        np.matmul(linear, now, out=out)
+        for ds, inputs, e, own in rates_of_z:
+            out[2 * m + e, own] = ds(*inputs)
+
+    y = np.zeros((states, runs))
+    moved = np.empty((n, m, runs))
     for i in range(n):
         for j in range(fine):
             at = 2 * (i * fine + j)
-            f0, f1, f2 = f[at], f[at + 1], f[(at + 2) % len(f)]
-            a1 = rate(y, f0)
+            state[:] = y
+            rate(f[at], a1)
             if j == 0:
-                out[:, :, i] = (strip.phi @ a1[m : 2 * m]).T
-            a2 = rate(y + step / 2 * a1, f1)
-            a3 = rate(y + step / 2 * a2, f1)
-            a4 = rate(y + step * a3, f2)
-            y = y + step / 6 * (a1 + 2 * (a2 + a3) + a4)
-    return out
+                moved[i] = a1[m : 2 * m]
+            for share, before, after, force in ((step / 2, a1, a2, 1), (step / 2, a2, a3, 1), (step, a3, a4, 2)):
+                np.multiply(before, share, out=part)
+                np.add(y, part, out=state)
+                rate(f[(at + force) % len(f)], after)
+            a2 += a3
+            a2 *= 2
+            a2 += a1
+            a2 += a4
+            a2 *= step / 6
+            y += a2
+    return np.moveaxis(strip.phi @ moved, 2, 0).swapaxes(1, 2)
 
 
 def measure(strip, effects, **how):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
@@ -57,7 +56,7 @@ from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError
 from operando.results import CheckRun
-from operando.threads import limit
+from operando.threads import cores, limit
 
 N = 5
 DOFS = tuple(Dof.parse(f"{i}+Z") for i in range(1, N + 1))
@@ -862,13 +861,13 @@ def test_a_weak_effect_adds_no_more_than_it_is_worth():
 
 
 def test_a_search_ends_the_same_with_one_thread_and_with_two():
-    found = []
+    found, before = [], cores()
     try:
         for count in (1, 2):
             limit(count)
             found.append(search(case(add_damper)).best)
     finally:
-        limit(os.cpu_count() or 1)
+        limit(before)  # of the tests that follow, too
     assert found[0].terms == found[1].terms
     assert found[0].log_evidence == found[1].log_evidence
 
