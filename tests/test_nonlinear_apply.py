@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from functools import cache
 
@@ -82,11 +83,12 @@ def test_what_has_no_force_in_time_is_refused():
         applied("cubic", "point_mass@3+Z")
 
 
-@pytest.fixture
-def folder(tmp_path):
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
     """A results folder whose check came from raw files, with what `operando run` would have found in it."""
     from operando.diagnosis import diagnose
 
+    tmp_path = tmp_path_factory.mktemp("strip")
     files = []
     for i, record in enumerate(records()["cubic"]):
         files.append(tmp_path / f"run{i}.uff")
@@ -98,6 +100,13 @@ def folder(tmp_path):
         "a strip", {"band": list(BAND)}, idle=STRIP.idle(), check=check, idle_frf=check[0].frf, diagnosis=found.to_dict(),
     )  # fmt: skip
     save_results(results, tmp_path / "model.h5")
+    return tmp_path
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """A copy of it to change."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True, copy_function=shutil.copy2)
     return tmp_path
 
 
@@ -137,8 +146,15 @@ def test_from_the_command_line(folder, monkeypatch):
     assert high["frequencies_hz"][peak(high)] != low["frequencies_hz"][peak(low)]
 
 
-def test_a_record_that_is_gone_is_named(folder):
-    (folder / "run1.uff").unlink()
+@pytest.fixture
+def gone(made):
+    """One of the records is not where the results were made from it."""
+    record = (made / "run1.uff").rename(made / "aside.uff")
+    yield
+    record.rename(made / "run1.uff")
+
+
+def test_a_record_that_is_gone_is_named(folder, gone):
     done = CliRunner().invoke(main, ["add", str(folder), "clearance@6+Z", "--json"])
     assert done.exit_code == 1
     assert "run1.uff" in json.loads(done.stdout)["where"]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
 
 from operando.data import Frf
 from operando.diagnosis.criteria import BLOCKS, CORRELATED_LINES, FIT_LINES, POOLED_LINES, VALIDATION_LINES
@@ -259,6 +258,8 @@ def _blocks(level: Array, modes: Array) -> Array:
 
     Blocks end at the peaks (of 3 dB or more) and at the modes, and are no longer than the band over ``BLOCKS``.
     """
+    from scipy.signal import find_peaks  # half a second, which only a search needs
+
     count = level.size
     smooth = np.convolve(np.pad(level, 1, "edge"), np.ones(3) / 3, "valid")
     peaks, _ = find_peaks(smooth, prominence=np.log(2), distance=max(_LEAST_BLOCK, count // (4 * BLOCKS)))
