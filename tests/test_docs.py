@@ -54,15 +54,18 @@ def test_tutorials_of_the_whole_chain_and_readme_run(tmp_path, monkeypatch, own_
         place.mkdir()
         (place / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(folder)
-    printed = {name: run_page(ROOT / name, folder) for name in FIRST}
-    assert (folder / "frame-results" / "report.html").exists()
+    printed = {FIRST[0]: run_page(ROOT / FIRST[0], folder)}
+    assert (folder / "frame-results" / "report.html").stat().st_size > 100_000
+    for name in ("frame-results", "demo-results"):
+        shutil.copytree(folder / "frame-results", again / name)
+    with monkeypatch.context() as patch:  # one report was drawn, and the README draws another: a line stands for those between
+        patch.setattr("operando.report.write_report", lambda results, path: path.write_text(results.name, encoding="utf-8"))
+        printed |= {name: run_page(ROOT / name, folder) for name in FIRST[1:]}
     assert "idle model as it is" in "".join(printed[FIRST[0]])
     assert "(1, 1, 1400)" in printed[FIRST[0]][-1]
     assert "coulomb_friction" in "".join(printed[FIRST[2]])
 
     # The README on the same files: stages that ran are taken from their results, as for any user who runs a test again.
-    for name in ("frame-results", "demo-results"):
-        shutil.copytree(folder / "frame-results", again / name)
     monkeypatch.chdir(again)
     told = run_page(ROOT / "README.md", again)
     assert "(1, 1, 1400)" in told[-1]

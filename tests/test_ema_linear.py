@@ -69,9 +69,14 @@ def assert_modes(model, c, f_tolerance=1e-4, z_tolerance=0.02):
     return modes
 
 
-def test_modes_without_coherence_are_scaled_and_evidenced():
-    c, h = frfs()
-    model = fit_ema(as_frf(h), band=BAND)
+@pytest.fixture(scope="module")
+def automatic():
+    _, h = frfs()
+    return as_frf(h), fit_ema(as_frf(h), band=BAND)
+
+
+def test_modes_without_coherence_are_scaled_and_evidenced(automatic):
+    c, (_, model) = chain(), automatic
     modes = assert_modes(model, c)
     assert model.details.answer == "linear"
     assert "coherence" in model.details.answer_reason
@@ -346,12 +351,12 @@ def test_a_roving_test_with_one_sensor_turned_is_consistent():
     assert np.all(np.sign(scale) == np.sign(scale[:1]))  # in the senses of the hammer, which is right
 
 
-def test_frfs_turned_by_90_degrees_are_told_and_analysed():
+def test_frfs_turned_by_90_degrees_are_told_and_analysed(automatic):
     c, h = frfs()
     model = fit_ema(as_frf(h / (2j * np.pi * F)), band=BAND)
     assert_modes(model, c)
     assert "wrong_quantity" in kinds(model)
-    assert "wrong_quantity" not in kinds(fit_ema(as_frf(h), band=BAND))
+    assert "wrong_quantity" not in kinds(automatic[1])
 
 
 def test_pairs_that_were_not_measured_are_left_out():
@@ -387,12 +392,6 @@ def test_no_mode_is_added_to_noise_and_none_is_left_out():
     fit, log = choose_modes(pairs, Poles(HZ[fewer], np.full(5, 0.008)), BAND)
     assert fit.n_modes == N
     assert any(line.startswith("in:") for line in log.rounds)
-
-
-@pytest.fixture(scope="module")
-def automatic():
-    _, h = frfs()
-    return as_frf(h), fit_ema(as_frf(h), band=BAND)
 
 
 def test_reject_takes_one_mode_only(automatic):

@@ -299,19 +299,20 @@ def test_effects_taken_back_and_added_are_those_of_the_command_line(site, chain_
         ("exclude", {"channel": "2+Z", "reason": "\ud800"}, "reason is no text"),
     ],
 )
-def test_wrong_requests_are_explained(site, what, given, said):
-    answer = site.do(what, **given)
+def test_wrong_requests_are_explained(reading, what, given, said):
+    answer = reading.do(what, **given)
     assert answer.status_code == 400
     assert said in str(answer.json)
-    assert site.bench.job is None
+    assert reading.bench.job is None
+    assert reading.bench.draft.edits == []
 
 
 @pytest.mark.parametrize(
     ("path", "body", "status"),
     [("/do/undo", "[1]", 400), ("/do/undo", "[" * 9000 + "]" * 9000, 400), ("/do/undo", "x" * 70_000, 413), ("/nowhere", "{}", 404)],
 )
-def test_whatever_is_posted_is_answered_in_json(site, path, body, status):
-    answer = site.client.post(path, data=body, base_url="http://127.0.0.1:8000", headers=HEAD)
+def test_whatever_is_posted_is_answered_in_json(reading, path, body, status):
+    answer = reading.client.post(path, data=body, base_url="http://127.0.0.1:8000", headers=HEAD)
     assert answer.status_code == status
     assert answer.json["schema"] == "operando/error/1"
 
