@@ -11,7 +11,7 @@ from operando.diagnosis.idle import Idle
 from operando.dof import Dof
 from operando.results import CheckRun
 
-BAND, NODES, REFERENCES = (4.0, 58.0), 9, [1, 4]
+BAND, NODES, REFERENCES = (4.0, 58.0), 7, [1, 4]
 HZ = 9.0 * np.arange(1, 8) ** 2 / 4 + 5  # 7.25, 14, 25.25, 41 Hz in band; the fifth at 61.25 Hz, 5 % above it
 X = np.linspace(0.1, 0.9, NODES)
 SHAPES = 0.5 * np.sin(np.pi * np.arange(1, 8) * X[:, None])

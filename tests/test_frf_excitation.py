@@ -186,9 +186,9 @@ def test_records_given_to_the_fit_hold_the_channels_of_the_frfs(white):
 
 @pytest.mark.skipif(not EXAMPLE.is_dir(), reason="the example is not here")
 def test_three_nan_give_the_modes_without_that_channel(tmp_path):
-    """The example with three NaN in one response of one run, against the example with that channel excluded by hand."""
+    """Two runs of the example with three NaN in one response of one, against those with that channel excluded by hand."""
     for name in ("nan", "excluded"):
-        shutil.copytree(EXAMPLE / "idle", tmp_path / name / "idle")
+        shutil.copytree(EXAMPLE / "idle", tmp_path / name / "idle", ignore=shutil.ignore_patterns("hammer3.uff"))
         text = 'name = "t"\n[idle]\nrecords = ["idle/*.uff"]\n[analysis]\nband = [5.0, 40.0]\n'
         if name == "excluded":
             text += '[channels]\n"5+Z" = {exclude = true, reason = "to compare"}\n'
