@@ -133,7 +133,7 @@ def test_a_weak_effect_beside_a_strong_one_is_not_swallowed(chain, idle, weak): 
 
 def test_effects_without_support_are_candidates_only(chain, idle):  # noqa: F811
     """Random mass, damping and stiffness between all DOFs, each with each: no effect asked for is one of them."""
-    kinds = ["point_mass", "ground_spring", "ground_damper", "sensor_gain"]
+    kinds = ["point_mass", "ground_spring", "ground_damper", "coupling_spring", "sensor_gain"]
     rng = np.random.default_rng(3)
     root, damp, stiff = rng.standard_normal((3, N, N))
     change = {"mass": 0.04 * root @ root.T, "damping": 2 * damp @ damp.T, "stiffness": 2e4 * stiff @ stiff.T}
