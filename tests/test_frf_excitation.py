@@ -331,6 +331,36 @@ def test_hum_is_no_ringing_and_ringing_is(beam):
         assert not rings or min(abs(at - f) for f in hz) < 2
 
 
+def many_rows(beam, hum, noise, slower=1.0, rows=1500):
+    """One hit as ``rows`` sensors at one point see it, each with its own hum and noise, as (rows, samples)."""
+    shapes, hz, zeta = beam
+    clean = single_hit(20, [79], shapes, hz, zeta / slower, np.random.default_rng(1), noise=0.0).data[1]
+    rng, t = np.random.default_rng(2), np.arange(clean.size) / 1024
+    return clean + hum * np.sin(2 * np.pi * 50 * t + rng.uniform(0, 6, (rows, 1))) + noise * rng.standard_normal((rows, t.size))
+
+
+def rings(data, rows):
+    """Share that one of these rows keeps, with 80 samples before the hit to tell what was there."""
+    return remaining_share(data, rows, np.array([20]), data.shape[1] - 20, 1024.0, None, 80)[0]
+
+
+@pytest.mark.parametrize("hum", [0.002, 0.004])
+def test_a_hum_that_noise_hides_before_the_hit_is_no_ringing(beam, hum, monkeypatch):
+    """The response keeps 0.1 % of its amplitude. Without HIDES some of 1500 draws rang."""
+    data = many_rows(beam, hum, 0.004)
+    assert rings(data, range(1500)) < 0.01
+    monkeypatch.setattr("operando.frf.remaining.HIDES", 0.0)
+    assert rings(data, range(1500)) > 0.05
+
+
+def test_what_rings_in_noise_stands_above_what_noise_may_hide(beam, monkeypatch):
+    """The lowest mode keeps exp(−2.92 s · 2π · 31 Hz · 0.004) = 10 %."""
+    data = many_rows(beam, 0.0, 0.1, slower=3.0, rows=50)
+    assert [rings(data, [row]) for row in range(50)] == pytest.approx([0.102] * 50, rel=0.25)
+    monkeypatch.setattr("operando.frf.remaining.HIDES", 1e3)
+    assert rings(data, range(50)) == 0
+
+
 def test_variance_of_a_single_hit_follows_its_force(beam):
     """A pulse of 5 ms has no force at 300 Hz: the FRF is wrong there, and its variance says so."""
     shapes, hz, zeta = beam

@@ -17,7 +17,9 @@ GROWS = 1.2
 """A response does not grow after the hit: what has a fifth more power in the last quarter than in the first is background."""
 BEFORE = 4.0
 """A line was not there before the hit where its power at the end is this many times that before (a tone between two lines of a short
-spectrum loses a third of its power, noise the rest)."""
+spectrum loses a third of its power)."""
+HIDES = 9.0
+"""Before the hit noise hides less of a tone than √9 times its own amplitude (in one of 90 000 lines: erfc(3)/2)."""
 AROUND = 16
 """Lines on either side that tell the noise near a line."""
 
@@ -72,9 +74,10 @@ def remaining_share(
             for total, at in ((begin, start), (end, start + block - quarter)):
                 x = np.array(data[row, at : at + quarter], float)
                 total += np.abs(fft.rfft((x - x.mean()) * window)) ** 2
-        noise = np.quantile(end[keep], 0.25) / 0.3
-        stands = keep & (end > STANDS * np.maximum(noise, _noise_near(end))) & (end < GROWS * begin)
-        stands &= end > BEFORE * starts.size * _power_before(np.asarray(data[row, :quiet], float), frequency, sampling_hz, quarter)
+        noise = np.maximum(np.quantile(end[keep], 0.25) / 0.3, _noise_near(end))
+        stands = keep & (end > STANDS * noise) & (end < GROWS * begin)
+        before, gain = _power_before(np.asarray(data[row, :quiet], float), frequency, sampling_hz, quarter)
+        stands &= end > starts.size * np.maximum(BEFORE * before, (np.sqrt(before) + np.sqrt(HIDES * gain * noise / starts.size)) ** 2)
         if stands.any():
             share = (end[stands] / begin[stands]) ** (0.5 * 4 / 3)
             k = int(np.argmax(share))
@@ -90,14 +93,18 @@ def _noise_near(power: Array) -> Array:
     return np.asarray(ndimage.percentile_filter(power, 25, size=2 * AROUND + 1, mode="nearest") / 0.3)
 
 
-def _power_before(x: Array, frequency: Array, sampling_hz: float, length: int) -> Array:
-    """Power of each line before the first hit, as a tone of that size would have in ``length`` samples; 0 below two cycles."""
-    out = np.zeros(frequency.size)
+def _power_before(x: Array, frequency: Array, sampling_hz: float, length: int) -> tuple[Array, Array]:
+    """Power of each line before the first hit, as a tone of that size would have in ``length`` samples, and of noise over its own there.
+
+    Both are 0 below two cycles: nothing is known.
+    """
+    out, gain = np.zeros(frequency.size), np.zeros(frequency.size)
     if x.size < 16:
-        return out
+        return out, gain
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(x.size) / x.size)
     power = np.abs(fft.rfft((x - x.mean()) * window)) ** 2
     have = fft.rfftfreq(x.size, 1 / sampling_hz)
     known = frequency > 2 * sampling_hz / x.size
     out[known] = np.interp(frequency[known], have, power) * (length / x.size) ** 2
-    return out
+    gain[known] = length / x.size  # a tone's power grows with the square of the samples, that of noise with them
+    return out, gain
