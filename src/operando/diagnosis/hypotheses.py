@@ -452,14 +452,11 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
 
 
 def between_sensors(state: State, geometry: Geometry | None) -> bool:
-    """Whether one effect between two sensors may stand for what was found: for several beside it, at both; for one on their sum."""
+    """Whether one effect between two sensors may stand for what was found: for several at these; for one on their sum."""
     if geometry is None:
         return False
-    for place in midway(state.case.dofs, geometry):
-        beside = [set(t.places) for t in state.terms if set(t.places) & set(place.ends)]
-        if len(beside) > 1 and set(place.ends) <= set().union(*beside):
-            return True
-    return on_a_sum(state, geometry)
+    at_ends = (sum(bool({*t.places} & {*place.ends}) for t in state.terms) for place in midway(state.case.dofs, geometry))
+    return any(count > 1 for count in at_ends) or on_a_sum(state, geometry)
 
 
 def on_a_sum(state: State, geometry: Geometry | None) -> bool:

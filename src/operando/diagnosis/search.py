@@ -443,7 +443,7 @@ class Search:
 
     def beside(self, best: State, term: Term, rest: Sequence[Term]) -> list[Point]:
         """What an effect between sensors is held against: it at the nearest of these places, which its shapes there decide; and kinds of
-        more values at its own place, from the shapes that the sensors suggest, for its fit has moved them."""
+        more values at its own place, alone and beside the others, from the shapes that the sensors suggest, for its fit has moved them."""
         case, where = best.case, self.case.idle.midway
         here = where.get(term.places[0]) if len(term.places) == 1 else None
         if here is None:
@@ -451,13 +451,14 @@ class Search:
         axis = case.dofs[term.places[0]].axis
         far = {i: float(np.linalg.norm(np.subtract(p, here))) for i, p in where.items() if p is not None and case.dofs[i].axis == axis}
         moved = [replace(term, places=(i,)) for i in sorted(far, key=lambda i: far[i])[1 : 1 + _BESIDE]]
+        starts = [best.carried([*rest, t]) for t in moved if self.once([*rest, t])]
         own = np.array(best.x.own)
         own[term.places[0]] = 0
-        about = replace(best.x, own=own) if rest else case.forward.start
         wider = [t for t in case.candidates(rest) if t.places == term.places and t.kind != term.kind and t.definition.parameters[1:]]
-        rows = robust_scan(case, best.carried(rest, about), wider) if wider else []
-        starts = [best.carried([*rest, t]) for t in moved if self.once([*rest, t])]
-        return starts + [best.carried([*rest, t], about) for _, t, cut in rows if not cut and self.once([*rest, t])]
+        for others, about in [((), case.forward.start), *([(rest, replace(best.x, own=own))] if rest else [])]:
+            rows = robust_scan(case, best.carried(others, about), wider) if wider else []
+            starts += [best.carried([*others, t], about) for _, t, cut in rows if not cut and self.once([*others, t])]
+        return starts
 
     def _bounded_beside(self, state: State, grown: Sequence[tuple[Term, State]]) -> None:
         """Fits with one effect more than a state that explains the lines: what it cannot add is the difference of their ways."""
