@@ -310,6 +310,7 @@ def test_one_effect_between_sensors_is_looked_for_where_one_acts_on_the_sum_of_t
     ("terms", "asked"),
     [
         ([("point_mass", (1,)), ("point_mass", (2,))], True),
+        ([("tuned_absorber", (1,)), ("ground_spring", (1,))], True),  # at one sensor: what lacks is in the others
         ([("ground_spring", (1,)), ("coupling_spring", (1, 2))], True),
         ([("coupling_spring", (1, 2)), ("ground_spring", (4,))], False),  # one effect alone joins the two sensors
         ([("coupling_spring", (1, 2))], False),
