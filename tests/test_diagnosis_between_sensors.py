@@ -1,19 +1,23 @@
 """What acts between sensors: products of its shapes were not measured, in band or beyond it, and are those of the shapes."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from operando.diagnosis import sizes
+from operando.diagnosis import hypotheses, sizes
 from operando.diagnosis.arrow import Factor
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import model_of
+from operando.diagnosis.criteria import EXPLAINED, LOOSE
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.midway import located, with_midway
 from operando.diagnosis.posterior import State
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.rival import started
+from operando.diagnosis.search import Found
 from operando.diagnosis.terms import Term
 from test_diagnosis import BAND, DOFS, N, identified, matrices, measured, modes
 from test_diagnosis_elsewhere import LINE
@@ -101,3 +105,66 @@ def test_steps_and_sides_of_held_sizes_are_fine_and_far_enough(monkeypatch, fall
     if (low, high) == (1.0, 1.03):
         assert max(abs(mean) for mean, _, _ in found) < 0.01
         np.testing.assert_allclose([whole for _, _, whole in found], 0.5 * np.log(2 * np.pi), atol=0.03)
+
+
+@pytest.mark.parametrize(("alpha", "searches"), [(1.01 * LOOSE, 1), (0.99 * LOOSE, 3)])
+def test_locations_between_sensors_are_searched_once_where_none_leaves_little(monkeypatch, alpha, searches):
+    """What a state has to score does not change what it leaves; a lower bar ends a search later, so that one is run again."""
+    case = SimpleNamespace(uncompressed=None, at_rest={}, forward=SimpleNamespace(start=None))
+    ended = SimpleNamespace(alpha=alpha, log_evidence=-50.0, terms=())
+    ran = []
+    monkeypatch.setattr(hypotheses, "with_midway", lambda idle, geometry: SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))
+    monkeypatch.setattr(hypotheses, "robust_scan", lambda case, x: [(-1.0, Term("ground_spring", (9,), (1.0,)), False)])
+    monkeypatch.setattr(hypotheses, "Rival", lambda days, alone: SimpleNamespace(score=0.0))
+    monkeypatch.setattr(hypotheses, "score", lambda state: state.log_evidence)
+    monkeypatch.setattr(hypotheses, "search", lambda *args, **how: ran.append(args) or SimpleNamespace(best=ended))
+    found, alone = SimpleNamespace(empty=SimpleNamespace(case=case)), SimpleNamespace(log_evidence=-10.0)
+    for bar in (-5.0, -5.0, 0.0):
+        assert hypotheses.with_nothing_touched(found, alone, lambda idle: (None, case), None, lambda text: None, bar) is None
+    assert len(ran) == searches
+    hypotheses.with_nothing_touched(found, alone, lambda idle: (None, case), None, lambda text: None, -7.0)
+    assert len(ran) == searches + 1
+
+
+@pytest.mark.parametrize(("alpha", "count"), [(0.99 * EXPLAINED, 2), (EXPLAINED, 1)])
+def test_sizes_beside_what_explains_nothing_are_not_held(monkeypatch, alpha, count):
+    case, terms = SimpleNamespace(idle=SimpleNamespace(midway=dict.fromkeys((9, 10)))), {"a": 9, "b": 10}
+    pool = {
+        key: SimpleNamespace(key=key, terms=(Term("ground_spring", (at,), (1.0,)),), alpha=alpha, case=case, log_evidence=float(at))
+        for key, at in terms.items()
+    }
+    asked = []
+    monkeypatch.setattr(sizes, "at_likely_size", lambda state, number: asked.append(state.key) or state)
+    monkeypatch.setattr(sizes, "score", lambda state: state.log_evidence)
+    monkeypatch.setattr(sizes, "names", lambda case, terms: [])
+    sizes.with_likely_sizes(Found(pool["b"], pool["a"], pool))
+    assert asked == ["b", "a"][:count]
+
+
+@dataclass
+class Held:
+    """A state whose evidence is a normal law of its size, ten times as narrow as the steps it is first looked at in."""
+
+    terms: tuple
+    alpha: float
+    log_evidence: float
+    case: Any = field(
+        default_factory=lambda: SimpleNamespace(prior=lambda term: (np.zeros(1), np.ones(1)), idle=SimpleNamespace(midway={}))
+    )
+    problem: Any = field(default_factory=lambda: SimpleNamespace(n_values=1))
+    sizes: dict = field(default_factory=dict)
+    covariance = np.eye(1)
+
+
+@pytest.mark.parametrize(("alpha", "finer"), [(0.99 * EXPLAINED, True), (EXPLAINED, False)])
+def test_sizes_are_held_in_finer_steps_only_where_lines_are_explained(monkeypatch, alpha, finer):
+    asked = []
+
+    def fitted(case, x, alpha, **how):
+        asked.append(x.terms[0].values[0])
+        return Held(x.terms, alpha, -50 * x.terms[0].values[0] ** 2)
+
+    monkeypatch.setattr(sizes, "fitted_if_can_be", fitted)
+    monkeypatch.setattr(sizes, "_along_valley", lambda state, number, size: Held(state.terms, alpha, 0.0))
+    sizes.at_likely_size(Held((Term("ground_spring", (9,), (0.0,)),), alpha, 0.0), 0)
+    assert any(1e-9 < abs(size) < 0.5 * np.log(2) for size in asked) == finer

@@ -221,7 +221,7 @@ def test_of_two_locations_between_sensors_the_one_with_small_errors_stands(monke
     }
     case = SimpleNamespace(idle=SimpleNamespace(midway=dict.fromkeys(range(9, 13))))
     value = {"a": 0.0, "b": -1.0, "c": -_NEAR + 0.5, "d": -_NEAR - 0.5, "e": -2.0}
-    pool = {name: SimpleNamespace(key=name, terms=terms[name], case=case, log_evidence=value[name]) for name in value}
+    pool = {name: SimpleNamespace(key=name, terms=terms[name], case=case, log_evidence=value[name], alpha=1e-3) for name in value}
     held = []
 
     def at(state, number):

@@ -300,8 +300,10 @@ def with_nothing_touched(
     It has to score more than a ``bar``; without one it is searched only where such a place leaves less than a ``part`` of what all sensors
     do, robustly and with nothing else freed.
     """
+    lowest, in_vain = -np.inf if bar is None else bar, found.empty.case.at_rest
+    asked = max(score(alone), lowest)
     wider = with_midway(found.empty.case.uncompressed, geometry)
-    if wider is None:
+    if wider is None or asked >= in_vain.get("no location between sensors", np.inf):
         return None
     days, one_set_up = again(wider)
     scanned = one_set_up.at_rest["robust"] = robust_scan(one_set_up, one_set_up.forward.start)
@@ -315,9 +317,11 @@ def with_nothing_touched(
         if not least[True] < part * least[False]:
             return None
     say(f"{len(wider.midway)} locations between sensors, with nothing touched:")
-    rival, lowest = Rival(days, alone), -np.inf if bar is None else bar
-    rival.score = max(rival.score, lowest)
+    rival = Rival(days, alone)
+    rival.score = asked
     found = search(one_set_up, say, rival, depth=1)
+    if found.best.alpha >= LOOSE:
+        in_vain["no location between sensors"] = asked
     if score(found.best) < lowest - WAYS:
         return None
     found = with_likely_sizes(found, say)

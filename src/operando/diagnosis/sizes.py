@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.special import logsumexp
 
-from operando.diagnosis.criteria import SCALE_BETWEEN, SCALE_BETWEEN_STD
+from operando.diagnosis.criteria import EXPLAINED, SCALE_BETWEEN, SCALE_BETWEEN_STD
 from operando.diagnosis.forward import Point
 from operando.diagnosis.midway import TOGETHER
 from operando.diagnosis.posterior import State, names
@@ -40,6 +40,7 @@ def with_likely_sizes(found: Found, say: Say = lambda text: None) -> Found:
     """With states at their mean sizes, where one effect between sensors is in the most probable one: this, and those near it.
 
     Which location it is, is decided with the errors of its shapes: they are small at the right one, and as large as it takes elsewhere.
+    Those near it are no answers where it explains nothing, not with its size held either, which leads on where a fit was caught.
     """
     best = found.best
     if len(_between(best)) != 1:
@@ -49,6 +50,8 @@ def with_likely_sizes(found: Found, say: Say = lambda text: None) -> Found:
     for state in [best, *sorted(near, key=lambda s: -s.log_evidence)[:_BESIDE]]:
         held[state.key] = now = at_likely_size(state, *_between(state))
         say(f"  by the evidence with its size held: {names(now.case, now.terms)} {now.log_evidence:.1f}")
+        if now.alpha >= EXPLAINED:
+            break
     return replace(found, best=max(held.values(), key=score), pool=found.pool | held)
 
 
@@ -98,7 +101,7 @@ def at_likely_size(state: State, number: int) -> State:
         if not np.isfinite(known[likely]):  # the size leads to numbers that cannot be
             return state
         likely, spread, whole = _moments(known)
-        if step < _FINE * spread:
+        if step < _FINE * spread or all(one.alpha >= EXPLAINED for one in held.values()):
             break
         step = spread
     if not np.isfinite(evidence(likely)):
