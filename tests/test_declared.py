@@ -182,3 +182,17 @@ def test_an_error_with_right_arguments_stays_what_it_is(monkeypatch: pytest.Monk
         room.fails(FRF)
     with pytest.raises(ObjectError, match="frf of fails is int 3, expected Frf"):
         room.fails(3)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: operando.compare.maps.clear_lines(FRF, [1.0]), r"band of clear_lines is list of float, expected tuple\[float, float\]"),
+        (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(3, bool), axis="x"), "axis of rms_over is str 'x', expected int"),
+        (lambda: operando.plots.plot_psd(RECORD, channels=object()), "is no channel"),
+        (lambda: RECORD[0], "0 is no channel"),
+    ],
+)
+def test_optional_arguments_of_another_kind_are_named(call: Callable[[], Any], said: str):
+    with pytest.raises(OperandoError, match=said):
+        call()

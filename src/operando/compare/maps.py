@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,14 @@ from operando.data import Frf
 from operando.errors import DataError
 
 
-def clear_lines(frf: Frf, band: Sequence[float] | None = None) -> NDArray[np.bool_]:
+def clear_lines(frf: Frf, band: tuple[float, float] | None = None) -> NDArray[np.bool_]:
     """(n_responses, n_references, n_lines) mask of finite lines in band well above the noise.
 
     Parameters
     ----------
     frf : Frf
         FRFs.
-    band : sequence of float, optional
+    band : (float, float), optional
         Lowest and highest line [Hz] to keep.
 
     Returns
@@ -76,7 +75,7 @@ def level_error_db(model: Frf, measured: Frf) -> NDArray[np.float64]:
     return np.where(np.isfinite(out), out, np.nan)
 
 
-def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: Any = None) -> Any:
+def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: int | tuple[int, ...] | None = None) -> Any:
     """Root mean square of the masked finite values along some axes; NaN where there are none.
 
     Parameters
@@ -85,7 +84,7 @@ def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: Any = N
         Values of any shape.
     mask : bool array
         Which of them count; same shape.
-    axis : object, optional
+    axis : int or tuple of int, optional
         Axis or axes to average over; default: all.
 
     Returns

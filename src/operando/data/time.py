@@ -301,7 +301,7 @@ class TimeRecord(Noun):
         """
         if wanted is None or wanted is Ellipsis or (isinstance(wanted, slice) and wanted == slice(None)):
             return [(i, None) for i in range(len(self.channels))]
-        if isinstance(wanted, int | float | slice):
+        if not isinstance(wanted, str | Dof | Iterable):
             raise DofError(
                 f"{wanted!r} is no channel", hint='write a DOF or a channel name: record["3+Z"]; rows by number: record.select([0])'
             )
