@@ -205,9 +205,10 @@ class Derivatives:
         force = np.transpose(p.force, (2, 0, 1))[None]  # (1, references, lines, touched)
         touched = []
         for i, dof in enumerate(here):
-            at_one, at_other = (force_change, sensor_change) if dof in p.idle.midway else (0.0, 0.0)
-            here_response, here_driven = response + sensors * at_one, driven + forces * at_other
-            touched.append(reached[..., i : i + 1] * here_response - force[..., i : i + 1] * here_driven)
+            at_response, at_driven = response, driven
+            if dof in p.idle.midway:
+                at_response, at_driven = response + sensors * force_change, driven + forces * sensor_change
+            touched.append(reached[..., i : i + 1] * at_response - force[..., i : i + 1] * at_driven)
         still = self._still([at_sensor[:, 0], sensor_change[:, 0]], [(at_force + force_change)[0], at_force[0]])
         groups = [[core, 1j * w * core, still], *([v] for v in (response, driven, *touched))]
         if p.lags is not None:

@@ -302,8 +302,9 @@ def with_nothing_touched(
     """
     lowest, in_vain = -np.inf if bar is None else bar, found.empty.case.at_rest
     asked = max(score(alone), lowest)
-    wider = with_midway(found.empty.case.uncompressed, geometry)
-    if wider is None or asked >= in_vain.get("no location between sensors", np.inf):
+    known = asked >= in_vain.get("no location between sensors", np.inf)
+    wider = None if known else with_midway(found.empty.case.uncompressed, geometry)
+    if wider is None:
         return None
     days, one_set_up = again(wider)
     scanned = one_set_up.at_rest["robust"] = robust_scan(one_set_up, one_set_up.forward.start)
