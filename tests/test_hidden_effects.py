@@ -140,6 +140,23 @@ def test_effect_follows_its_law(kind):
     assert 0.49 < hidden.change_db(structure, state, known.references) < 6.2
 
 
+@pytest.mark.parametrize("kind", ["global_stiffness", "global_damping"])
+def test_a_change_of_all_leaves_what_was_hung_on_before(kind):
+    """An absorber keeps its own frequency and damping where all stiffness or damping of the structure changes beside it."""
+    known = generate.truth(generate.Spec("rotor", "tuned_absorber", 4, 2))
+    structure, before = known.structure, known.state.system
+    after = hidden.hide(kind, structure, known.references, np.random.default_rng(1), known.state)
+    change, omega = after.effects[-1]["parameters"]["change"]["value"], 2 * np.pi * structure.hz
+    stiffer, damped = (change * (kind == which) for which in ("global_stiffness", "global_damping"))
+    n = omega.size
+    np.testing.assert_allclose((after.system.stiffness - before.stiffness)[:n, :n], stiffer * np.diag(omega**2), atol=1e-6)
+    np.testing.assert_allclose((after.system.damping - before.damping)[:n, :n], damped * np.diag(2 * structure.zeta * omega), atol=1e-9)
+    assert abs(change) > 1e-3
+    assert len(before.mass) == n + 1
+    np.testing.assert_array_equal(after.system.stiffness[n], before.stiffness[n])
+    np.testing.assert_array_equal(after.system.damping[n], before.damping[n])
+
+
 @pytest.mark.parametrize(("frequency", "right"), [(46.7, True), (46.3, True), (45.8, False), (22.5, False), (None, False)])
 def test_a_missing_mode_is_right_within_its_half_power_width(frequency, right):
     def mode(f):

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from families import Sensor, Structure
-from hidden import ZETA_LEAST, Hidden, System, idle, least_damping
+from hidden import ZETA_LEAST, Hidden, System, add_to_first, idle, least_damping
 
 GAIN = 0.01
 MOUNTING_HZ = (1200.0, 4000.0)
@@ -157,12 +157,6 @@ def _dampers(structure: Structure) -> dict[str, np.ndarray]:
     return parts if structure.dashpot is None else {**parts, "dashpot": structure.dashpot}
 
 
-def _add(matrix: np.ndarray, change: np.ndarray) -> np.ndarray:
-    out = matrix.copy()
-    out[: len(change), : len(change)] += change
-    return out
-
-
 def second_day(structure: Structure, state: Hidden, days: Days) -> Hidden:
     """The running state as it is and as it is measured on day two; what is hidden acts on the structure of day two."""
 
@@ -171,7 +165,7 @@ def second_day(structure: Structure, state: Hidden, days: Days) -> Hidden:
         more = {e["kind"]: 1 + e["parameters"]["change"]["value"] for e in state.effects if e["kind"].startswith("global_")}
         stiffer = sum(days.stiffness[p] * k for p, k in structure.parts.items()) * more.get("global_stiffness", 1.0)
         drier = sum(days.damping[p] * c for p, c in _dampers(structure).items()) * more.get("global_damping", 1.0)
-        return replace(system, stiffness=_add(system.stiffness, stiffer), damping=_add(system.damping, drier))
+        return replace(system, stiffness=add_to_first(system.stiffness, stiffer), damping=add_to_first(system.damping, drier))
 
     remounted = Remounted(
         np.array([place.row(structure, state, s) for s, (_, place) in zip(structure.sensors, days.sensors, strict=True)]),

@@ -292,12 +292,21 @@ def _maker(kind: str, structure: Structure, rng: np.random.Generator, base: Hidd
             1e-6 * wide_k,
             wide_k,
         )
+    own = idle(structure).system  # a change of all is one of the structure, not of what was hung on it before
     if kind == "global_stiffness":
         sign = 1 if rng.uniform() < 0.5 else -1
-        return lambda c: state(replace(system, stiffness=system.stiffness * (1 + sign * c)), [], {"change": sign * c}), 1e-4, 0.15
+        return (
+            lambda c: state(replace(system, stiffness=add_to_first(system.stiffness, sign * c * own.stiffness)), [], {"change": sign * c}),
+            1e-4,
+            0.15,
+        )
     if kind == "global_damping":
         sign, wide = (1, rng.uniform(0.8, 3.0)) if rng.uniform() < 0.75 else (-1, 0.6)
-        return lambda c: state(replace(system, damping=system.damping * (1 + sign * c)), [], {"change": sign * c}), 1e-3, wide
+        return (
+            lambda c: state(replace(system, damping=add_to_first(system.damping, sign * c * own.damping)), [], {"change": sign * c}),
+            1e-3,
+            wide,
+        )
     if kind == "missing_mode":
         count = int(structure.in_band.sum())
         modes_hz = structure.hz[: count + 1]
@@ -377,6 +386,13 @@ def hide_between(kind: str, structure: Structure, references: tuple[int, ...], r
 def _grow(matrix: np.ndarray, value: float) -> np.ndarray:
     out = np.zeros((len(matrix) + 1,) * 2, matrix.dtype)
     out[:-1, :-1], out[-1, -1] = matrix, value
+    return out
+
+
+def add_to_first(matrix: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """A change of the structure alone, in a matrix with the coordinates of what was hung on it."""
+    out = matrix.copy()
+    out[: len(change), : len(change)] += change
     return out
 
 
