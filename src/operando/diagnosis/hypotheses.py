@@ -10,7 +10,7 @@ import numpy as np
 from operando.data import Geometry
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import AS_AT_REST, EARNED, EXPLAINED, LEAST_DISCREPANCY, LOOSE, PROMOTED
-from operando.diagnosis.days import promotions, untouched
+from operando.diagnosis.days import no_other_day, promotions, untouched
 from operando.diagnosis.free_law import of_a_kind, with_free_law
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
@@ -377,7 +377,9 @@ def search_elsewhere(
             other, its_odds = search_both(cases[0], cases[1], say, depth=places)
         else:  # where effects are found that explain the lines, by the hypothesis that they are of
             known_spreads = places > 1 and (bool(found.best.terms) or found.best.alpha >= EXPLAINED)
-            other = search(cases[1 if same else 0], say, depth=places, own_spreads=not known_spreads)
+            # beside an effect at a sensor, none between sensors mends two days that no laboratory has; in its place one may
+            depth = 1 if not same and no_other_day(found.best) else places
+            other = search(cases[1 if same else 0], say, depth=depth, own_spreads=not known_spreads)
         other = with_likely_sizes(other, say)
         bar = score(best.best)
         if places == 1:  # what is there explains the lines, with shapes that are known: one effect is an answer where it stands for several
