@@ -9,7 +9,7 @@ import pytest
 
 from operando.diagnosis import hypotheses, sizes
 from operando.diagnosis.arrow import Factor
-from operando.diagnosis.case import Case
+from operando.diagnosis.case import AsItIs, Case
 from operando.diagnosis.corrected import model_of
 from operando.diagnosis.criteria import EXPLAINED, LOOSE
 from operando.diagnosis.idle import Idle
@@ -110,7 +110,7 @@ def test_steps_and_sides_of_held_sizes_are_fine_and_far_enough(monkeypatch, fall
 @pytest.mark.parametrize(("alpha", "searches"), [(1.01 * LOOSE, 1), (0.99 * LOOSE, 3)])
 def test_locations_between_sensors_are_searched_once_where_none_leaves_little(monkeypatch, alpha, searches):
     """What a state has to score does not change what it leaves; a lower bar ends a search later, so that one is run again."""
-    case = SimpleNamespace(uncompressed=None, at_rest={}, forward=SimpleNamespace(start=None))
+    case = SimpleNamespace(uncompressed=None, at_rest=AsItIs(), forward=SimpleNamespace(start=None))
     ended = SimpleNamespace(alpha=alpha, log_evidence=-50.0, terms=())
     ran = []
     monkeypatch.setattr(hypotheses, "with_midway", lambda idle, geometry: SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))

@@ -509,7 +509,7 @@ def test_what_stands_instead_of_two_effects_is_tried_by_what_one_leaves(monkeypa
     monkeypatch.setattr(hypotheses, "robust_scan", scanned)
     monkeypatch.setattr(hypotheses, "search", lambda case, *args, **how: asked.append("between") or Found(days, days, {}))
     monkeypatch.setattr(hypotheses, "with_likely_sizes", lambda found, say: found)
-    one.at_rest["robust"] = scanned(one, None)
+    one.at_rest.robust = scanned(one, None)
 
     def again(idle):
         return [Case(idle, check_of(add_mass).frf, BAND, correlated=1.0) for _ in range(2)]
@@ -524,7 +524,7 @@ def test_a_place_between_sensors_explains_the_check_as_the_idle_model_does_the_i
     one, at_rest = case(add_mass), 0.004
     days = fit(one, one.forward.start)
     there = (Found(replace(days, alpha=share * AS_AT_REST * at_rest), days, {}), 10.0)
-    one.at_rest["robust"] = [(-robust_cost(one, one.forward.start), Term("point_mass", (1,), (0.0,)), False)]
+    one.at_rest.robust = [(-robust_cost(one, one.forward.start), Term("point_mass", (1,), (0.0,)), False)]
     monkeypatch.setattr(hypotheses, "with_nothing_touched", lambda *args, **how: there)
     monkeypatch.setattr(hypotheses, "mode_with_nothing_touched", lambda *args, **how: None)
     found = instead_of_two(one, days, Rival(one, days), at_rest, lambda idle: [], LINE, lambda text: None)
@@ -561,7 +561,7 @@ def test_of_modes_that_may_be_lacking_the_likeliest_is_searched_that_does_not_be
     state = fit(one, one.forward.start)
     both = {name: replace(state, alpha=0.003, log_evidence=nats) for name, nats in (("first", 1.0), ("likelier", 2.0))}
     apart = {id(s): becomes_another not in (name, "both") for name, s in both.items()}
-    one.at_rest["grown by a mode"] = list(both)
+    one.at_rest.grown = list(both)
     monkeypatch.setattr(hypotheses, "with_mode", lambda grown, *rest: Lacking(both[grown], state, {}, odds=5.0))
     monkeypatch.setattr(hypotheses, "_explains", lambda state, alone: False)
     monkeypatch.setattr(hypotheses, "_apart", lambda state: apart[id(state)])

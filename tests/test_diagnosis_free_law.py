@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operando.data import ModalModel
-from operando.diagnosis import diagnose_frf
+from operando.diagnosis import diagnose_frf, free_law
 from operando.diagnosis.farther_off import farther_off
 from operando.diagnosis.free_law import free_law_text, of_a_kind, scanned, with_free_law
 from operando.diagnosis.hypotheses import as_channels_were
@@ -92,13 +92,19 @@ def test_a_kind_of_the_catalogue_is_more_probable_than_a_free_law():
     assert told(add_mass).verdict == "explained"
 
 
-def test_no_law_is_told_where_it_does_not_explain_the_lines():
+def test_no_law_is_told_where_it_does_not_explain_the_lines(monkeypatch):
     def spread(m, c, k):  # three masses: no force at one location
         m[0, 0] += 0.4
         m[2, 2] += 0.3
         m[4, 4] += 0.5
 
-    assert with_free_law(case(spread, spreads={}), -np.inf) is None
+    spread_out, scans = case(spread, spreads={}), []
+    monkeypatch.setattr(free_law, "scanned", lambda one: scans.append(one) or scanned(one))
+    assert with_free_law(spread_out, -1000.0) is None
+    assert with_free_law(spread_out, -999.0) is None  # asked for more, the same fits are left off sooner
+    assert len(scans) == 1
+    assert with_free_law(spread_out, -np.inf) is None
+    assert len(scans) == 2
 
 
 def test_a_law_between_sensors_of_opposite_senses_is_told_with_both_in_one():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,28 @@ _AT_ONCE = 2  # columns of all DOFs at a time
 HELD = 1e-7  # standard deviation of a value that no fit moves, on its search scale
 COLUMNS = 24
 """Columns that tell the directions of an idle model as all do: of 81 points of a plate as many were kept, the evidence equal to 1e-9."""
+
+
+@dataclass
+class AsItIs:
+    """What was looked for about the idle model as it is: the same whatever the spreads.
+
+    Attributes
+    ----------
+    robust : list of (float, Term, bool)
+        Rows of the robust scan.
+    grown : list of Idle
+        With a mode more.
+    no_mode : list of (Idle, float)
+        With a mode that reached no score, and that score.
+    no_location : float
+        Score that no location between sensors reached.
+    """
+
+    robust: list[tuple[float, Term, bool]] = field(default_factory=list)
+    grown: list[Idle] = field(default_factory=list)
+    no_mode: list[tuple[Idle, float]] = field(default_factory=list)
+    no_location: float = np.inf
 
 
 class Case:
@@ -110,7 +132,8 @@ class Case:
         self.allowed = tuple(range(len(self.dofs))) if places is None else tuple(places)
         self._ranges: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {} if like is None else like._ranges
         self.like = like
-        self.at_rest: dict[str, Any] = {} if like is None else like.at_rest  # scans about the model as it is, whatever the spreads
+        self.at_rest: AsItIs = AsItIs() if like is None else like.at_rest
+        self.law_in_vain = np.inf  # log evidence that no smooth force law came near to
         self._base: tuple[Array, Scannable] | None = None
         self._places: Counter[str] = Counter()
 

@@ -36,15 +36,18 @@ def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> Sta
     ----------
     case : Case
     floor : float
-        Log evidence of a state that it has to come near to.
+        Log evidence of a state that it has to come near to; no higher one is tried again where it did not.
     say : callable
     """
 
+    if floor >= case.law_in_vain:
+        return None
     near = sorted(side_by_side(lambda term: approach(case, started(case, (term,))), scanned(case)[:_APPROACHED]), key=lambda row: row[0])
     ends = side_by_side(lambda row: fitted_if_can_be(case, row[1], _ROUGH, floor=floor), near[:_FITTED])
     tried = [state for state in ends if state is not None]
     best = max(tried, key=score, default=None)
     if best is None or best.alpha > EXPLAINED or not leaves_noise(best):
+        case.law_in_vain = floor
         return None
     where = ", ".join(case.ends(best.terms[0]))
     say(f"a force law that is no kind of the catalogue, {where}: {best.log_evidence:.1f}, discrepancy {best.alpha:.4f}")

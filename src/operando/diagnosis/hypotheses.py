@@ -229,7 +229,7 @@ def instead_of_two(
     An effect at a place between sensors where that leaves no half of what the best sensor does, robustly and with nothing else freed, and
     no more than the idle model leaves at rest; a mode that is lacking where the best sensor leaves more than half of what there is.
     """
-    about, sensors = case.forward.start, case.at_rest.get("robust")
+    about, sensors = case.forward.start, case.at_rest.robust
     if not sensors:
         return None
     empty = fit(case, about, 0.1)
@@ -261,9 +261,8 @@ def mode_with_nothing_touched(
     bar = max(rival.score, score(found.best))
     sure = at_once or alone.alpha < LOOSE
     case = found.empty.case
-    known: list[Idle] = case.at_rest.get("grown by a mode") or grown_by_a_mode([replace(found.empty, x=case.forward.start), alone])
-    case.at_rest["grown by a mode"] = known
-    short: list[tuple[Idle, float]] = case.at_rest.setdefault("no mode alone", [])  # and the bar that it did not reach
+    known = case.at_rest.grown = case.at_rest.grown or grown_by_a_mode([replace(found.empty, x=case.forward.start), alone])
+    short = case.at_rest.no_mode
     able: list[Lacking] = []
     for grown in known:
         if sure and any(one is grown and its <= bar for one, its in short):
@@ -302,12 +301,12 @@ def with_nothing_touched(
     """
     lowest, in_vain = -np.inf if bar is None else bar, found.empty.case.at_rest
     asked = max(score(alone), lowest)
-    known = asked >= in_vain.get("no location between sensors", np.inf)
+    known = asked >= in_vain.no_location
     wider = None if known else with_midway(found.empty.case.uncompressed, geometry)
     if wider is None:
         return None
     days, one_set_up = again(wider)
-    scanned = one_set_up.at_rest["robust"] = robust_scan(one_set_up, one_set_up.forward.start)
+    scanned = one_set_up.at_rest.robust = robust_scan(one_set_up, one_set_up.forward.start)
     if not scanned:
         return None
     if bar is None:
@@ -322,7 +321,7 @@ def with_nothing_touched(
     rival.score = asked
     found = search(one_set_up, say, rival, depth=1)
     if found.best.alpha >= LOOSE:
-        in_vain["no location between sensors"] = asked
+        in_vain.no_location = asked
     if score(found.best) < lowest - WAYS:
         return None
     found = with_likely_sizes(found, say)

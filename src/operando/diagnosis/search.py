@@ -407,10 +407,9 @@ class Search:
         """
         case = state.case
         about = state.x if state.terms else case.forward.start
-        known = None if state.terms else case.at_rest.get("robust")
-        rows = known or robust_scan(case, about)
+        rows = (not state.terms and case.at_rest.robust) or robust_scan(case, about)
         if not state.terms:
-            case.at_rest["robust"] = rows
+            case.at_rest.robust = rows
         self.say("robust scan: " + ", ".join(f"{names(case, [t])[0]}{' (cut)' if cut else ''} {v:.0f}" for v, t, cut in rows[:6]))
         free = LinearScan(state, about).at_trial_sizes()
         self.say(f"scan with all unknowns free: {self._listed(free[:6], free[0].evidence if free else 0.0)}")
