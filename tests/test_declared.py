@@ -189,6 +189,12 @@ def test_an_error_with_right_arguments_stays_what_it_is(monkeypatch: pytest.Monk
     [
         (lambda: operando.compare.maps.clear_lines(FRF, [1.0]), r"band of clear_lines is list of float, expected tuple\[float, float\]"),
         (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(3, bool), axis="x"), "axis of rms_over is str 'x', expected int"),
+        (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(3, bool), axis=[0.5]), "axis of rms_over is list of float"),
+        (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(3, bool), axis=1), "axis 1 of values with 1 axes"),
+        (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(3, bool), axis=[0, 0]), "repeated axis"),
+        (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(2, bool)), r"a mask of shape \(2,\)"),
+        (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(3)), r"mask of rms_over is ndarray, expected NDArray\[np.bool_\]"),
+        (lambda: operando.compare.maps.rms_over(np.ones(3) + 1j, np.ones(3, bool)), "values of rms_over is ndarray"),
         (lambda: operando.plots.plot_psd(RECORD, channels=object()), "is no channel"),
         (lambda: RECORD[0], "0 is no channel"),
     ],
@@ -196,3 +202,18 @@ def test_an_error_with_right_arguments_stays_what_it_is(monkeypatch: pytest.Monk
 def test_optional_arguments_of_another_kind_are_named(call: Callable[[], Any], said: str):
     with pytest.raises(OperandoError, match=said):
         call()
+
+
+def test_axes_are_named_as_numpy_names_them():
+    values = np.arange(24.0).reshape(2, 3, 4)
+    over = [operando.compare.maps.rms_over(values, values > 2, axis=axis) for axis in ((0, 1), [0, 1], np.array([0, 1]), (-3, -2))]
+    np.testing.assert_allclose(over, np.sqrt(np.sum((values * (values > 2)) ** 2, (0, 1)) / np.sum(values > 2, (0, 1))) * np.ones((4, 1)))
+
+
+@pytest.mark.parametrize(
+    ("dtype", "declared", "fits"),
+    [("i4", np.float64, True), ("f4", np.complex128, True), ("?", np.bool_, True), ("f8", np.bool_, False), ("c16", np.float64, False)],
+)
+def test_numbers_of_an_array_are_of_the_declared_kind(dtype: str, declared: type, fits: bool):
+    assert is_of(np.ones(2, dtype), np.typing.NDArray[declared]) is fits
+    assert is_of(np.ones(2, dtype), np.typing.NDArray[Any])

@@ -11,6 +11,7 @@ import pytest
 from io_files import ascii58, text_set, units164
 from operando.data import Appearance, Channel, CoordinateSystem, Frf, Geometry, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof
+from operando.errors import WriteError
 from operando.io import FileHeader, convert, read, read_uff_sets, write_uff
 from operando.io.uff.lines import parse_date, print_date
 from operando.io.uff.text_sets import number13
@@ -123,6 +124,13 @@ def test_what_a_table_cannot_hold_is_named(tmp_path):
     assert "header of the file (set 151)" in document["lost"]
     assert "geometry of 1 nodes: cannot be represented in csv" in document["lost"]
     assert len(document["lost"]) == len(set(document["lost"]))
+
+
+def test_a_conversion_leaves_its_source_as_it_is(tmp_path):
+    before = ascii58([1.0] * 4)
+    with pytest.raises(WriteError, match="over the file that is read"):
+        converted(tmp_path, before, target="in.uff")
+    assert (tmp_path / "in.uff").read_bytes() == before
 
 
 def test_hdf5_keeps_everything_of_a_geometry(tmp_path):

@@ -61,6 +61,8 @@ def home(tmp_path_factory):
     write_uff(folder / "elsewhere.uff", Geometry((101, 102, 103, 104), corners))
     (folder / "README.md").write_text("# Measurements\n\nOf the chain, in May.\n", encoding="utf-8")
     (folder / "table.csv").write_text("time [s], 1+Z [m/s2]\n0, 1\n1, 2\n", encoding="utf-8")
+    (folder / "commas.csv").write_text("time [s],1+Z [m/s2]\n0,0,1,5\n0,1,2,5\n", encoding="utf-8")
+    (folder / "row.csv").write_text("time [s],1+Z [m/s2]\n0,1\n", encoding="utf-8")
     (folder / "empty").mkdir()
     made_results(folder / "results")
     (folder / "notes.uff").write_text("Measured in May.\nBy two of us.\n", encoding="utf-8")
@@ -299,6 +301,22 @@ MISTAKES = {
     ),
     "effect at an unknown DOF": (["add", "results", "point_mass@9+Z"], 1, r"DOF 9\+Z", "point_mass", r"[1-4]\+Z"),
     "no step to remove": (["remove", "results", "3"], 1, "there is no step 3", "results", "no effect has been added"),
+    "comparison written over the measurement": (
+        ["compare", "results", "idle/run1.uff", "-o", "idle/run1.uff"],
+        1,
+        "over the file that is read",
+        "run1.uff",
+        "another name",
+    ),
+    "OFRFs written over the results": (
+        ["ofrf", "results", "-o", "results/model.h5"],
+        1,
+        "over the file that is read",
+        r"model\.h5",
+        "another name",
+    ),
+    "decimal commas between commas": (["inspect", "commas.csv"], 1, "4 columns of numbers but 2 names", r"commas\.csv", "by semicolons"),
+    "one row of samples": (["inspect", "row.csv"], 1, "tells no sampling rate", r"row\.csv", "the whole record"),
     "comparison with no measurement": (["compare", "results", "geometry.uff"], 1, "holds no FRFs", r"geometry\.uff", "operando inspect"),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from measurements import record, running_chain
 from operando.atomic import write_json
 from operando.config import State, Test
 from operando.data import Finding, Provenance, force_rms, level_groups
-from operando.errors import DataError
+from operando.errors import DataError, WriteError
 from operando.frf import merge_frfs
 from operando.io import write_uff
 from operando.pipeline import run
@@ -147,6 +148,19 @@ def test_json_has_null_where_there_is_no_value(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"x": float("nan"), "y": np.array([1.0, np.inf]), "z": 1 + 2j, "n": np.int64(3), "b": np.bool_(True)})
     assert json.loads(path.read_text()) == {"x": None, "y": [1.0, None], "z": [1.0, 2.0], "n": 3, "b": True}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes among the files")
+def test_a_file_takes_the_name_of_no_pipe_or_device_and_a_link_stays(tmp_path):
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("folder/a.json")
+    with pytest.raises(WriteError, match="is a device or a pipe, expected a file"):
+        write_json(tmp_path / "pipe", {})
+    assert (tmp_path / "pipe").is_fifo()
+    write_json(tmp_path / "link", {"x": 1})
+    assert (tmp_path / "link").is_symlink()
+    assert json.loads((tmp_path / "folder/a.json").read_text()) == {"x": 1}
 
 
 def test_what_depends_on_unread_files_is_not_run_and_only_the_cause_is_stated(tmp_path):

@@ -58,15 +58,18 @@ def replacing(path: str | Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[
     Raises
     ------
     WriteError
-        If the folder does not exist, is full or cannot be written, or no file is named.
+        If the folder does not exist, is full or cannot be written, no file is named, or a device is.
     ObjectError
         If ``path`` is no path.
     """
     path = path_of(path, "a file is written to its path")
     if not path.name:
         raise WriteError(f"{str(path)!r} names no file", hint="give a path that ends in the name of the file")
+    given, path = path, Path(os.path.realpath(path))  # a link stays, and leads to the new file
+    if path.exists() and not (path.is_file() or path.is_dir()):  # taking the name of /dev/null would end it for all programs
+        raise WriteError("is a device or a pipe, expected a file", where=str(given), hint="give a file; --json prints the document")
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with writing(path):
+    with writing(given):
         unfinished.add(beside)
         try:
             with open(beside, mode, **kwargs) as stream:
@@ -79,6 +82,20 @@ def replacing(path: str | Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[
             with suppress(OSError):
                 beside.unlink(missing_ok=True)
             unfinished.discard(beside)
+
+
+def refuse_source(target: str | Path, *sources: str | Path) -> None:
+    """Refuse to write over a file that is being read: measurements are not recorded twice.
+
+    Raises
+    ------
+    WriteError
+        If the target is one of the sources.
+    """
+    for source in sources:
+        with suppress(OSError):  # one of them is not there
+            if os.path.samefile(source, target):
+                raise WriteError("would be written over the file that is read", where=str(target), hint="give the new file another name")
 
 
 def write_json(path: str | Path, document: Mapping[str, Any] | list[Any]) -> None:

@@ -132,11 +132,13 @@ def answers(function: Callable[..., Answer]) -> Callable[..., int]:
     return body
 
 
-def apart_from_runs(output: str | None, doing: str) -> None:
-    """Until the command ends, keep runs away from the results folder that a file to be written lies in, if it is one."""
+def apart_from_runs(output: str | None, doing: str, *sources: str | Path) -> None:
+    """Until the command ends, keep runs away from the results folder that a file to be written lies in; refuse to write over a source."""
     if output is not None:
+        from operando.atomic import refuse_source
         from operando.pipeline.folder import apart_from_runs as held
 
+        refuse_source(output, *sources)
         click.get_current_context().with_resource(held(output, doing))
 
 

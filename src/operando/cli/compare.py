@@ -44,7 +44,7 @@ def compare(
     from operando.cli.sources import load_measured, load_model
     from operando.compare import compare_all
 
-    apart_from_runs(output, "compare")
+    apart_from_runs(output, "compare", model, Path(model) / "model.h5", measured)
     if band is not None and not 0 <= band[0] < band[1] < float("inf"):
         raise ConfigError(f"--band {band[0]:g} {band[1]:g} is no band", hint="give its lower end and then its upper end in Hz")
     if level is not None and (route != "effect" or not 0 < level < float("inf")):

@@ -76,7 +76,7 @@ def ofrf(
     if level is not None and not 0 < level < float("inf"):
         raise click.UsageError("--level is a force in N, more than 0")
     values = [parse_change(text) for text in changes]
-    apart_from_runs(output, "ofrf")
+    apart_from_runs(output, "ofrf", folder, Path(folder) / "model.h5")
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
     results = load_results(folder, only=("comparison", "diagnosis", "hybrid", "idle_frf", "left_out", "settings", "geometry"))

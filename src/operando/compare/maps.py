@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.lib.array_utils import normalize_axis_tuple
 from numpy.typing import ArrayLike, NDArray
 
 from operando.compare.measures import SNR_LIMIT, band_masks
@@ -75,7 +77,7 @@ def level_error_db(model: Frf, measured: Frf) -> NDArray[np.float64]:
     return np.where(np.isfinite(out), out, np.nan)
 
 
-def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: int | tuple[int, ...] | None = None) -> Any:
+def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: int | Sequence[int] | None = None) -> Any:
     """Root mean square of the masked finite values along some axes; NaN where there are none.
 
     Parameters
@@ -84,7 +86,7 @@ def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: int | t
         Values of any shape.
     mask : bool array
         Which of them count; same shape.
-    axis : int or tuple of int, optional
+    axis : int or sequence of int, optional
         Axis or axes to average over; default: all.
 
     Returns
@@ -92,15 +94,28 @@ def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: int | t
     float or array
         One value for each index of the axes that are left.
 
+    Raises
+    ------
+    DataError
+        If the mask has another shape, or an axis is not there or named twice.
+
     Examples
     --------
     >>> import numpy as np
     >>> float(rms_over(np.array([3.0, 4.0, 100.0]), np.array([True, True, False])).round(3))
     3.536
     """
+    values, mask = np.asarray(values), np.asarray(mask)
+    if values.shape != mask.shape:
+        raise DataError(f"values of shape {values.shape} and a mask of shape {mask.shape}", hint="give both the same shape")
+    try:
+        over = None if axis is None else normalize_axis_tuple(axis, values.ndim)
+    except ValueError as error:
+        hint = "give one axis or several, each once, counted from 0"
+        raise DataError(f"axis {axis!r} of values with {values.ndim} axes: {error}", hint=hint) from error
     use = mask & np.isfinite(values)
-    total = np.sum(np.where(use, values, 0.0) ** 2, axis=axis)
-    n = np.sum(use, axis=axis)
+    total = np.sum(np.where(use, values, 0.0) ** 2, axis=over)
+    n = np.sum(use, axis=over)
     return np.sqrt(np.divide(total, n, out=np.full(np.shape(total), np.nan), where=n > 0))
 
 

@@ -162,7 +162,7 @@ def is_of(value: Any, hint: Any, loose: bool = False) -> bool:
     if kind is _Numbers:
         return _makes_numbers(value)
     if kind is np.ndarray:
-        return isinstance(value, np.ndarray | MappedSamples)
+        return isinstance(value, MappedSamples) or (isinstance(value, np.ndarray) and _holds(value.dtype, parts))
     try:
         return isinstance(value, kind) if isinstance(kind, type) else True
     except TypeError:  # a protocol, which says what an object can do
@@ -172,6 +172,14 @@ def is_of(value: Any, hint: Any, loose: bool = False) -> bool:
 def _is_number(value: Any, kind: type) -> bool:
     allowed = {bool: (bool, np.bool_), int: (int, np.integer), float: (int, float, np.number), complex: (int, float, complex, np.number)}
     return isinstance(value, allowed[kind]) and (kind in (bool, int) or not isinstance(value, bool))
+
+
+def _holds(found: np.dtype[Any], parts: tuple[Any, ...]) -> bool:
+    """Whether numbers of the dtype found are of the declared one, or become it without a loss of kind."""
+    declared = typing.get_args(parts[1])[0] if parts else Any
+    declared = typing.get_origin(declared) or declared
+    kinds = [kind for kind in (np.bool_, np.int_, np.float64, np.complex128) if isinstance(declared, type) and issubclass(kind, declared)]
+    return not kinds or np.can_cast(found, kinds[-1], "same_kind")
 
 
 def _makes_numbers(value: Any) -> bool:

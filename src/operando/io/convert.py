@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from operando.atomic import refuse_source
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.errors import FormatError
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.detect import read
 from operando.io.quantities import ChannelSpecs, Units
+from operando.paths import path_of
 from operando.printable import printable
 
 _SUFFIXES = {
@@ -49,6 +51,8 @@ def convert(
     ------
     FormatError
         If the source holds nothing that the target format can take, or the name of the target tells no format.
+    WriteError
+        If the target is the source, or cannot be written.
 
     Examples
     --------
@@ -59,8 +63,9 @@ def convert(
     ...     convert(f"{folder}/frf.uff", f"{folder}/frf.h5")["format_out"]
     'hdf5'
     """
-    target = Path(target)
+    target = path_of(target, "a file is written to its path")
     kind = format_of(target)
+    refuse_source(target, source)
     content = read(source, units=units, channels=channels)
     passed = [s for s in content.sets if s.raw and s.status != "used"] if kind == "uff" and content.format == "uff" else []
     kept = [obj for obj in content.objects if holds(kind, obj)]

@@ -281,13 +281,11 @@ def _table(text: str, head: _Head, where: str, units: Units | None) -> tuple[lis
         raise NoMeasurement(what, head.heads, where)
     if numbers.shape[1] < len(names) and not any(names[numbers.shape[1] :]):
         names = names[: numbers.shape[1]]
-    if numbers.shape[1] > len(names):
-        extra = numbers[:, len(names) :]
-        if np.any(np.isfinite(extra)):
-            raise FormatError(f"{numbers.shape[1]} columns of numbers but {len(names)} names", where=where)
+    if not np.any(np.isfinite(numbers[:, len(names) :])):
         numbers = numbers[:, : len(names)]
     if numbers.shape[1] != len(names):
-        raise FormatError(f"{numbers.shape[1]} columns of numbers but {len(names)} names", where=where)
+        hint = "name each column once in the header; with decimal commas, separate the columns by semicolons or tabs"
+        raise FormatError(f"{numbers.shape[1]} columns of numbers but {len(names)} names", where=where, hint=hint)
     longest = max(names, key=len)
     if len(longest) > LONGEST_NAME:
         raise FormatError(
@@ -392,7 +390,9 @@ def _rate_of_time(time: NDArray[np.float64], unit: str, where: str) -> tuple[flo
         except UnitError as error:
             raise FormatError(f"the time column is in {unit!r}: {error.message}", where=where) from error
     seconds = time * factor
-    if seconds.size < 2 or not np.all(np.isfinite(seconds)) or not np.all(np.diff(seconds) > 0):
+    if seconds.size < 2:
+        raise FormatError(f"{seconds.size} row of samples tells no sampling rate", where=where, hint="give the whole record")
+    if not np.all(np.isfinite(seconds)) or not np.all(np.diff(seconds) > 0):
         raise FormatError("the time column does not increase from row to row", where=where, hint="remove repeated or damaged rows")
     step = restore_step_of_values(float(seconds[0]), float(seconds[-1]), seconds.size)
     off = float(np.max(np.abs(seconds - seconds[0] - step * np.arange(seconds.size))))
