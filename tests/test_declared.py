@@ -195,6 +195,13 @@ def test_an_error_with_right_arguments_stays_what_it_is(monkeypatch: pytest.Monk
         (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(2, bool)), r"a mask of shape \(2,\)"),
         (lambda: operando.compare.maps.rms_over(np.ones(3), np.ones(3)), r"mask of rms_over is ndarray, expected NDArray\[np.bool_\]"),
         (lambda: operando.compare.maps.rms_over(np.ones(3) + 1j, np.ones(3, bool)), "values of rms_over is ndarray"),
+        (lambda: FRF.decimate(None), "step of decimate is NoneType, expected int"),
+        (lambda: FRF.beside(3), "others of beside is int 3, expected Frf"),
+        (lambda: FRF.axis.band("a", 3), "low of band is str 'a', expected float"),
+        (lambda: operando.FrequencyAxis.even("a", 1, 5), "start of even is str 'a', expected float"),
+        (lambda: FRF.lines([9999]), r"\[9999\] names no lines of 300"),
+        (lambda: FRF.lines(np.ones(7, bool)), "names no lines of 300"),
+        (lambda: operando.mac([1.0, np.nan], [1.0, 2.0]), "not finite have no MAC"),
         (lambda: operando.plots.plot_psd(RECORD, channels=object()), "is no channel"),
         (lambda: RECORD[0], "0 is no channel"),
     ],
@@ -202,6 +209,14 @@ def test_an_error_with_right_arguments_stays_what_it_is(monkeypatch: pytest.Monk
 def test_optional_arguments_of_another_kind_are_named(call: Callable[[], Any], said: str):
     with pytest.raises(OperandoError, match=said):
         call()
+
+
+def test_shapes_of_whole_numbers_have_a_mac():
+    np.testing.assert_allclose(operando.mac([1, 1], [1, 2]), 0.9)
+
+
+def test_what_was_taken_away_is_said():
+    assert operando.parse_effect("point_mass@1+Z=mass:-0.1").short == "point_mass taken away at 1+Z, 100 g"
 
 
 def test_axes_are_named_as_numpy_names_them():

@@ -455,3 +455,14 @@ def test_simulated_chain_moves(white):
     assert relative(frf.data, exact(frf)) < 1e-3
     with pytest.raises(DataError, match="no records"):
         estimate_frf([])
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(256.0, 1.0), (500.0, 0.13)], ids=["another number of lines", "other lines"])
+def test_runs_on_different_lines_are_not_averaged(rate, seconds):
+    channels = [Channel("1+Z", "force", "N"), Channel("1+Z", "acceleration", "m/s2")]
+    noise = np.random.default_rng(0).standard_normal((2, 8000))
+    runs = [TimeRecord(noise, r, channels) for r in (FS, rate)]
+    with pytest.raises(DataError, match="on different lines") as refused:
+        estimate_frf(runs, block_seconds=seconds)
+    assert "sampling rates" in refused.value.hint
+    assert estimate_frf(runs, block_seconds=1.0, band=(5, 100)).axis.step == pytest.approx(1.0)

@@ -42,7 +42,8 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
     ObjectError
         If one is a model and the other is not.
     DataError
-        If two models have fewer than two DOFs in common, over which every MAC is 1, or arrays have different numbers of rows.
+        If two models have fewer than two DOFs in common, over which every MAC is 1, or arrays have different numbers of rows
+        or values that are not finite.
 
     Examples
     --------
@@ -70,13 +71,15 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
         raise ObjectError(
             f"MAC of {type(first).__name__} and {type(other).__name__} is not defined", hint="give models or arrays of shapes"
         )
+    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
+        raise DataError("shapes with values that are not finite have no MAC", hint="leave out the DOFs that were not measured")
     a = a[:, None] if a.ndim == 1 else a
     b = b[:, None] if b.ndim == 1 else b
     if a.shape[0] != b.shape[0]:
         raise DataError(f"shapes at {a.shape[0]} and at {b.shape[0]} DOFs have no MAC", hint="models find their common DOFs: mac(a, b)")
     cross = np.abs(a.conj().T @ b) ** 2
     norm = np.outer(np.sum(np.abs(a) ** 2, axis=0), np.sum(np.abs(b) ** 2, axis=0))
-    return np.divide(cross, norm, out=np.zeros_like(norm), where=norm > 0)
+    return np.divide(cross, norm, out=np.zeros(norm.shape), where=norm > 0)
 
 
 def left_out(first: ModalModel, second: ModalModel, dofs: Sequence[Dof]) -> str:

@@ -196,7 +196,7 @@ def _tuple_is_of(value: Any, parts: tuple[Any, ...], loose: bool) -> bool:
 
 
 def explain_arguments(package: str) -> None:
-    """Let the public functions of a package say which argument is of another kind than they take, where a call ends in a bare error.
+    """Where a call of a public function or method of a package ends in a bare error, say which argument is of another kind than it takes.
 
     A call that works costs nothing, and errors with words of their own stay as they are.
 
@@ -214,14 +214,27 @@ def explain_arguments(package: str) -> None:
     """
     module = sys.modules[package]
     for name in module.__all__:
-        function = vars(module).get(name)  # what is loaded when it is asked for is left alone
-        if not inspect.isfunction(function) or hasattr(function, "explained"):
+        thing = vars(module).get(name)  # what is loaded when it is asked for is left alone
+        if inspect.isclass(thing) and thing.__module__.startswith(package):
+            _explain_methods(thing)
+        if not inspect.isfunction(thing) or hasattr(thing, "explained"):
             continue
-        home = sys.modules[function.__module__]
-        explained = _explaining(function)
+        home = sys.modules[thing.__module__]
+        explained = _explaining(thing)
         setattr(module, name, explained)
-        if vars(home).get(name) is function:  # so that other processes, which look for it there, find the same
+        if vars(home).get(name) is thing:  # so that other processes, which look for it there, find the same
             setattr(home, name, explained)
+
+
+def _explain_methods(kind: type) -> None:
+    """The same of the public methods that a class defines itself."""
+    for name, method in list(vars(kind).items()):
+        if name.startswith("_"):
+            continue
+        if inspect.isfunction(method):
+            setattr(kind, name, _explaining(method))
+        elif isinstance(method, classmethod):
+            setattr(kind, name, classmethod(_explaining(method.__func__)))
 
 
 def _explaining(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -249,11 +262,13 @@ def _refuse_others(function: Callable[..., Any], args: tuple[Any, ...], options:
     hints, plain = _declared(function), inspect.unwrap(function)
     for name, value in given.items():
         parameter = signature.parameters[name]
-        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+        if parameter.kind is parameter.VAR_KEYWORD:
             continue
+        several = value if parameter.kind is parameter.VAR_POSITIONAL else (value,)
         said = str(parameter.annotation)
         advice = "; ".join(text for kind, text in MADE_BY.items() if re.search(rf"\b{kind}\b", said))
         advice = advice or f"help({plain.__module__}.{plain.__name__}) says what it takes"
         what = f"{name} of {plain.__name__}"
-        if not is_of(value, hints.get(name, Any), loose=True):
-            raise ObjectError(f"{what} is {_kind_of(value)}, expected {said}", hint=advice) from error
+        for one in several:
+            if not is_of(one, hints.get(name, Any), loose=True):
+                raise ObjectError(f"{what} is {_kind_of(one)}, expected {said}", hint=advice) from error

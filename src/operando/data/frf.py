@@ -21,7 +21,6 @@ from operando.errors import DataError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
 ROUNDING = 1e-3
 """How far a coherence may lie beyond 0 to 1, and a variance below 0 (as a share of the largest): files hold them in few digits."""
 
@@ -164,9 +163,8 @@ class Frf(Noun):
             seen = set()
             for d in dofs:
                 if d.key in seen:
-                    raise DataError(
-                        f"{label} DOF {d} appears twice (in either sense)", hint="give each its own DOF; in a test file by [channels]"
-                    )
+                    hint = "give each its own DOF; in a test file by [channels]"
+                    raise DataError(f"{label} DOF {d} appears twice (in either sense)", hint=hint)
                 seen.add(d.key)
 
     def _check_beside(self, name: str, expected: tuple[int, ...]) -> None:
@@ -293,10 +291,19 @@ class Frf(Noun):
         return self.lines(part)
 
     def lines(self, which: slice | ArrayLike) -> Frf:
-        """Some of the lines: a slice, positions in increasing order, or a mask."""
+        """Some of the lines: a slice, positions in increasing order, or a mask.
+
+        Raises
+        ------
+        DataError
+            If a position is not there, or none is named.
+        """
         keep = which if isinstance(which, slice) else np.asarray(which)
         part = lambda array: None if array is None else array[:, :, keep]  # noqa: E731
-        axis = FrequencyAxis(self.frequencies_hz[keep])
+        try:
+            axis = FrequencyAxis(self.frequencies_hz[keep])
+        except IndexError as error:
+            raise DataError(f"{which!r:.60} names no lines of {len(self.axis)}", hint="give positions from 0, or a mask") from error
         return replace(self, data=self.data[:, :, keep], axis=axis, variance=part(self.variance), coherence=part(self.coherence))
 
     def decimate(self, step: int) -> Frf:
@@ -326,9 +333,8 @@ class Frf(Noun):
         for other in others:
             same = (other.responses, other.quantity, other.si) == (self.responses, self.quantity, self.si)
             if not (same and self.same_lines(other)):
-                raise DataError(
-                    "FRFs of other responses, lines, quantity or units cannot stand side by side", hint="see Frf.select, Frf.lines"
-                )
+                hint = "see Frf.select, Frf.lines"
+                raise DataError("FRFs of other responses, lines, quantity or units cannot stand side by side", hint=hint)
         parts = (self, *others)
         stack = lambda arrays: None if any(a is None for a in arrays) else np.concatenate(arrays, axis=1)  # noqa: E731
         return replace(

@@ -317,9 +317,20 @@ def _medians(values: Array, width: int) -> Array:
 
 
 def within_excited(estimates: Sequence[RunEstimate]) -> tuple[list[RunEstimate], list[Finding]]:
-    """The estimates without the lines at either end that no run of some reference excites; a finding where lines are left out."""
-    spans = [excited_span(e) for e in estimates]
+    """The estimates without the lines at either end that no run of some reference excites; a finding where lines are left out.
+
+    Raises
+    ------
+    DataError
+        If the estimates lie on different lines.
+    """
     axis = estimates[0].frequencies_hz
+    for run in estimates:
+        if run.frequencies_hz.shape != axis.shape or not np.allclose(run.frequencies_hz, axis):
+            found = " and ".join(f"{f.size} lines from {f[0]:g} to {f[-1]:g} Hz" for f in (axis, run.frequencies_hz))
+            hint = "runs of different sampling rates: give a band within half of the lowest, and blocks of whole samples of each"
+            raise DataError(f"the runs lie on different lines: {found}", hint=hint)
+    spans = [excited_span(e) for e in estimates]
     inside = [(axis >= low) & (axis <= high) for low, high in spans]
     keep = np.ones(axis.size, bool)
     for run in estimates:

@@ -179,7 +179,8 @@ class Effect:
     @property
     def short(self) -> str:
         """Kind, location and size in a few words."""
-        return ", ".join(part for part in (f"{self.kind} at {self.place}" if self.place else self.kind, self.size) if part)
+        kind = f"{self.kind} taken away" if self.removed else self.kind
+        return ", ".join(part for part in (f"{kind} at {self.place}" if self.place else kind, self.size) if part)
 
     @property
     def explanation(self) -> str:
