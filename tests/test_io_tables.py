@@ -419,3 +419,15 @@ def test_a_text_called_as_a_universal_file_is_said_to_be_none(tmp_path):
     content = read(path)
     assert content.records[0].n_samples == 2
     assert content.findings[0].message.startswith("no UFF file")
+
+
+def test_values_of_frfs_that_are_no_numbers_are_counted(tmp_path):
+    """Of the FRFs and of their coherence; a pair that was not measured lacks all of them, and is none of these."""
+    data, coherence = np.ones((2, 2, 6), complex), np.full((2, 2, 6), 0.9)
+    data[0, 0, 2], coherence[1, 0, 3:5], data[1, 1], coherence[1, 1] = np.nan, np.nan, np.nan, np.nan
+    write_uff(tmp_path / "frf.uff", Frf(data, np.arange(5.0, 11.0), "1+Z, 2+Z", "1+Z, 2+Z", coherence=coherence, averages=10))
+    missing = inspect_files([tmp_path / "frf.uff"])["files"][0]["missing"]
+    assert [text.partition(":")[0] for text in missing] == [
+        "no number at 1 of 24 values of the FRFs",
+        "no number at 2 of 24 values of the coherence",
+    ]

@@ -243,6 +243,11 @@ def _missing_of_frf(f: Frf, functions_lost: bool) -> list[str]:
     out = []
     if not f.si:
         out.append("no units of the FRFs: frequencies and damping only, no scaling to unit modal mass; give them in [units]")
+    for name, values in (("FRFs", f.data), ("coherence", f.coherence)):
+        if values is not None:
+            there = np.isfinite(values)
+            if lost := np.count_nonzero(~there & there.any(axis=2, keepdims=True)):  # a pair that was not measured lacks all
+                out.append(f"no number at {lost} of {values.size} values of the {name}: export them again, or leave out these lines")
     if functions_lost:
         return out
     if not f.drive_points():
