@@ -339,9 +339,10 @@ def many_rows(beam, hum, noise, slower=1.0, rows=1500):
     return clean + hum * np.sin(2 * np.pi * 50 * t + rng.uniform(0, 6, (rows, 1))) + noise * rng.standard_normal((rows, t.size))
 
 
-def rings(data, rows):
-    """Share that one of these rows keeps, with 80 samples before the hit to tell what was there."""
-    return remaining_share(data, rows, np.array([20]), data.shape[1] - 20, 1024.0, None, 80)[0]
+def rings(data, rows, quiet=80):
+    """Share that one of these rows keeps, with up to 80 samples before the hit to tell what was there."""
+    start = min(20, quiet - 1)
+    return remaining_share(data[:, 80 - quiet :], rows, np.array([start]), data.shape[1] - 80 + quiet - start, 1024.0, None, quiet)[0]
 
 
 @pytest.mark.parametrize("hum", [0.002, 0.004])
@@ -359,6 +360,24 @@ def test_what_rings_in_noise_stands_above_what_noise_may_hide(beam, monkeypatch)
     assert [rings(data, [row]) for row in range(50)] == pytest.approx([0.102] * 50, rel=0.25)
     monkeypatch.setattr("operando.frf.remaining.HIDES", 1e3)
     assert rings(data, range(50)) == 0
+
+
+@pytest.mark.parametrize("quiet", [25, 30, 40])
+@pytest.mark.parametrize(("hum", "noise"), [(0.004, 0.004), (0.05, 0.0005), (0.05, 0.02)])
+def test_a_hum_of_one_to_two_cycles_before_the_hit_is_no_ringing(beam, hum, noise, quiet):
+    """1.2 to 1.95 cycles of 50 Hz. With half a cycle nothing tells it from ringing: the limit."""
+    data = many_rows(beam, hum, noise, rows=100)
+    assert rings(data, range(100), quiet) < 0.01
+    assert rings(data, range(100), 18) > 0.05
+
+
+@pytest.mark.parametrize("quiet", [36, 45, 60])
+@pytest.mark.parametrize("drift", [0.0, 0.5])
+def test_what_rings_is_seen_after_one_to_two_cycles_of_noise_and_drift(beam, quiet, drift):
+    """1.1 to 1.8 cycles of the mode at 31 Hz, which keeps 10 %; the base line swings at 2.3 Hz by ten times the noise."""
+    data = many_rows(beam, 0.0, 0.05, slower=3.0, rows=50)
+    data += drift * np.sin(2 * np.pi * 2.3 * np.arange(data.shape[1]) / 1024 + np.linspace(0, 6, 50)[:, None])
+    assert min(rings(data, [row], quiet) for row in range(50)) > 0.05
 
 
 def test_variance_of_a_single_hit_follows_its_force(beam):

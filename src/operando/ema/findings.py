@@ -52,7 +52,8 @@ _LEFT_OUT = {
     ),
     "outside": (
         "the residual terms do not describe what lies outside the band",
-        "widen the band to the nearest modes beside it; an offset of the sensors, which no structure has, looks alike",
+        "widen the band to the nearest modes beside it; damping of a suspension below the band, and an offset of the sensors, which no "
+        "structure has, look alike",
     ),
 }
 """Consequence and action by what the model goes without most."""

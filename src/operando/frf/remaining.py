@@ -96,7 +96,7 @@ def _noise_near(power: Array) -> Array:
 def _power_before(x: Array, frequency: Array, sampling_hz: float, length: int) -> tuple[Array, Array]:
     """Power of each line before the first hit, as a tone of that size would have in ``length`` samples, and of noise over its own there.
 
-    Both are 0 below two cycles: nothing is known.
+    From the spectrum, and by least squares of a tone and a constant below two cycles. Both are 0 below one, where a drift looks like a tone.
     """
     out, gain = np.zeros(frequency.size), np.zeros(frequency.size)
     if x.size < 16:
@@ -104,7 +104,16 @@ def _power_before(x: Array, frequency: Array, sampling_hz: float, length: int) -
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(x.size) / x.size)
     power = np.abs(fft.rfft((x - x.mean()) * window)) ** 2
     have = fft.rfftfreq(x.size, 1 / sampling_hz)
-    known = frequency > 2 * sampling_hz / x.size
+    cycles = frequency * x.size / sampling_hz
+    known = cycles > 2
     out[known] = np.interp(frequency[known], have, power) * (length / x.size) ** 2
     gain[known] = length / x.size  # a tone's power grows with the square of the samples, that of noise with them
+    for k in np.flatnonzero((cycles >= 1) & ~known):
+        turn = np.exp(2j * np.pi * frequency[k] / sampling_hz * np.arange(x.size))
+        columns = np.column_stack([turn.real, turn.imag, np.ones(x.size)])
+        inverse = np.linalg.inv(columns.T @ columns)
+        amplitude = (inverse @ columns.T @ x)[:2]
+        # a window of 0.5 makes (length/4)² of a tone's power and 3 length/8 of noise; twice the variance in the phase that noise moves most
+        out[k] = (amplitude @ amplitude) * (length / 4) ** 2
+        gain[k] = np.linalg.eigvalsh(inverse[:2, :2])[-1] * length / 3
     return out, gain
