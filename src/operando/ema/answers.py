@@ -13,7 +13,7 @@ from operando.dof import Dof
 from operando.ema.doubts import Evidence
 from operando.ema.linear import LinearFit, stated_covariance
 from operando.ema.outside import OutsideModes, outside_modes
-from operando.ema.pairs import Pairs, Real
+from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.polish import Polished
 from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters
 from operando.ema.polished import PolishedAnswer
@@ -21,7 +21,7 @@ from operando.ema.projection import basis, tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
 from operando.ema.unit_mass import ModalCovariance, UnitMassShapes
-from operando.synthesis import real_inner
+from operando.synthesis import combined, real_inner
 
 FREQUENCY_FLOOR = 1e-6
 DAMPING_FLOOR = 1.3e-4
@@ -204,8 +204,11 @@ def without_shape(fit: LinearFit, mass: UnitMassShapes) -> NDArray[np.bool_]:
 
     Their residues are part of what lies outside: a shape from products of next to nothing has any size.
     """
-    beyond = (fit.poles.hz < fit.ends_hz[0]) | (fit.poles.hz > fit.ends_hz[1])
-    return np.asarray(beyond & ~mass.scaled & mass.scaled.any())
+    return np.asarray(_beyond(fit) & ~mass.scaled & mass.scaled.any())
+
+
+def _beyond(fit: LinearFit) -> NDArray[np.bool_]:
+    return np.asarray((fit.poles.hz < fit.ends_hz[0]) | (fit.poles.hz > fit.ends_hz[1]))
 
 
 def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, float], local_terms: bool = True) -> OutsideModes:
@@ -226,14 +229,29 @@ def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, floa
     return outside_modes(runs, polished, band, True, max_dofs=CORE_DOFS, local_terms=local_terms)
 
 
-def _physical_tails(fit: LinearFit) -> Real:
-    """Coefficients of the kernels outside and of the mass line, (P, 8); 1/s² is how a suspension below the band begins, and joins them."""
+def left_beyond(fit: LinearFit, shapes: Real, gone: NDArray[np.bool_], frequencies_hz: Real) -> Complex:
+    """What shapes leave of the residues of modes beyond the lines, (P, L): these and the tails of each pair make up for each other."""
+    at = np.flatnonzero(_beyond(fit) & ~gone)
+    residues = (fit.projection.a - shapes[fit.pairs.rows] * shapes[fit.pairs.columns])[:, at]
+    return combined(residues, basis(frequencies_hz, fit.poles.take(at), fit.pairs.window_rate)[0])
+
+
+def _physical_tails(fit: LinearFit, rest: Complex) -> Real:
+    """Coefficients of the kernels outside and of the mass line, (P, 8), which take up what shapes leave of modes beyond the lines.
+
+    1/s² is how a suspension below the band begins, and joins them.
+    """
     columns = tail_columns(fit.pairs.frequencies_hz, max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0], fit.pairs.window_rate)
+    columns[-2] *= fit.pairs.offset
     keep = len(OUTSIDE_FACTORS) + len(LOWER_FACTORS)
     low = np.arange(len(OUTSIDE_FACTORS), keep)
     share = np.linalg.lstsq(columns[low].real.T, columns[-1].real, rcond=None)[0]
-    tails = fit.projection.tails[:, :keep].copy()
-    tails[:, low] += fit.projection.tails[:, -1:] * share
+    parts, rest = (np.concatenate([part.real, part.imag], axis=1) for part in (columns, rest))
+    weights = 1 / np.sqrt(np.tile(fit.variance.plain, 2))
+    more = [np.linalg.lstsq((w * parts).T, w * r, rcond=1e-9)[0] for w, r in zip(weights, rest, strict=True)]
+    whole = fit.projection.tails + np.array(more)
+    tails = whole[:, :keep].copy()
+    tails[:, low] += whole[:, -1:] * share
     return np.asarray(tails)
 
 
@@ -244,7 +262,8 @@ def column_runs(fit: LinearFit, shapes: Real, gone: NDArray[np.bool_]) -> tuple[
     the residues are amounts of kernels outside.
     """
     pairs, runs, local = fit.pairs, [], []
-    tails = np.c_[_physical_tails(fit), fit.projection.a[:, gone]]
+    rest = left_beyond(fit, shapes, gone, pairs.frequencies_hz)
+    tails = np.c_[_physical_tails(fit, rest), fit.projection.a[:, gone]]
     few, many = pairs.columns, pairs.rows
     if np.unique(few).size > np.unique(many).size:
         few, many = many, few

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operando.ema.answers import linear_outside, without_shape
+from operando.ema.answers import left_beyond, linear_outside, without_shape
 from operando.ema.close_pairs import separated
 from operando.ema.discrepancy import fit_variance
 from operando.ema.linear import LinearFit, fit_linear
@@ -70,11 +70,12 @@ def left_of(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_dofs: int
     inside = _of_modes(seen, parted.mean_hz[kept], parted.poles.zeta[kept], mass.shapes[:, kept])
     terms = linear_outside(parted, mass, band, local_terms=False)  # a term of an undriven DOF is in no measured pair
     outside = _of_modes(seen, terms.hz, terms.zeta, terms.shapes)
+    beyond = left_beyond(parted, mass.shapes, ~kept, seen.frequencies_hz)
     by_pair = np.mean(power_of(seen.accelerance - inside - outside) / variance, axis=1)
     by_row = np.full(n_dofs, np.nan)
     for row in np.unique(pairs.rows):
         by_row[row] = by_pair[pairs.rows == row].mean()
-    parts = {name: _mean(part, variance) for name, part in _parts(again, seen, free, inside, outside).items()}
+    parts = {name: _mean(part, variance) for name, part in _parts(again, seen, free, inside, outside, beyond).items()}
     return Left(float(by_pair.mean()), by_row, _mean(seen.accelerance - free, variance), parts)
 
 
@@ -84,14 +85,17 @@ def _of_modes(pairs: Pairs, hz: Real, zeta: Real, shapes: Real) -> Complex:
     return combined(shapes[pairs.rows] * shapes[pairs.columns], kernel)
 
 
-def _parts(fit: LinearFit, pairs: Pairs, free: Complex, inside: Complex, outside: Complex) -> dict[str, Complex]:
-    """What stands between the free fit and the model, in the order in which the model goes without: their sum is the whole of it."""
+def _parts(fit: LinearFit, pairs: Pairs, free: Complex, inside: Complex, outside: Complex, beyond: Complex) -> dict[str, Complex]:
+    """What stands between the free fit and the model, in the order in which the model goes without: their sum is the whole of it.
+
+    What shapes leave of modes ``beyond`` the lines is a matter of the tails, which take it up.
+    """
     f = pairs.frequencies_hz
     ends = max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0]
     tails = combined(fit.projection.tails, tail_columns(f, *ends, pairs.window_rate))
     g, h = basis(f, replace(fit.poles, hz=fit.mean_hz), pairs.window_rate)[:2]
     still, real = combined(fit.projection.a, g) + combined(fit.projection.b, h), combined(in_phase(fit).real, g)
-    return {"shift": free - tails - still, "phase": still - real, "shape": real - inside, "outside": tails - outside}
+    return {"shift": free - tails - still, "phase": still - real, "shape": real - inside - beyond, "outside": tails + beyond - outside}
 
 
 def _mean(error: Complex, variance: Real) -> float:

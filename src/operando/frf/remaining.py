@@ -96,7 +96,7 @@ def _noise_near(power: Array) -> Array:
 def _power_before(x: Array, frequency: Array, sampling_hz: float, length: int) -> tuple[Array, Array]:
     """Power of each line before the first hit, as a tone of that size would have in ``length`` samples, and of noise over its own there.
 
-    From the spectrum, by least squares of a tone and a constant below two cycles; 0 below one, where a drift looks like a tone.
+    By the spectrum; below two cycles by least squares of a tone and a constant; 0 below one, where a drift looks like a tone.
     """
     out, gain = np.zeros(frequency.size), np.zeros(frequency.size)
     if x.size < 16:
