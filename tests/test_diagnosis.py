@@ -49,6 +49,7 @@ from operando.diagnosis.search import (
     Search,
     Start,
     leaders,
+    of_each_place,
     replaceable,
     search,
 )
@@ -939,6 +940,9 @@ def test_states_30_nats_below_the_best_are_scanned_for_one_effect_more_and_40_be
     assert [s.terms for s in leaders(pool, WAYS, 9)] == [(mass,), (spring,)]  # what only adds to the best is not asked again
     assert [s.terms for s in leaders(pool, RIVALS, 9)] == [(mass,), (spring,), (damper,)]
     assert [s.terms for s in leaders(pool, RIVALS, 1)] == [(mass,)]
+    elsewhere = told((Term("point_mass", (2,), (0.0,)),), 39.5)
+    near = leaders(pool | {elsewhere.key: elsewhere}, RIVALS, 9)
+    assert of_each_place(near) == [near[0], elsewhere]  # what is missing beside the mass is missing beside the spring at its place
 
 
 def test_what_stands_in_the_place_of_an_effect_may_lack_a_fifth_of_it_there_and_a_twentieth_elsewhere():

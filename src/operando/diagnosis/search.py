@@ -138,6 +138,14 @@ def leaders(pool: Mapping[Key, State], within: float, count: int) -> list[State]
     return near[:count]
 
 
+def of_each_place(states: Sequence[State]) -> list[State]:
+    """The first of those whose effects are at the same places: what is missing beside them is the same, whichever kinds they are."""
+    first: dict[tuple[tuple[int, ...], ...], State] = {}
+    for state in states:
+        first.setdefault(tuple(sorted(places for _, places in state.key)), state)
+    return list(first.values())
+
+
 def replaceable(term: Term, other: Term) -> float:
     """Part of what an effect is worth that another may lack: at the same place its further values still move."""
     return LACKING[set(term.places) != set(other.places)]
@@ -342,7 +350,7 @@ class Search:
 
     def _grow(self) -> None:
         """One effect more about each of the leaders."""
-        for rank, state in enumerate(leaders(self.pool, WAYS, _BEAM)):
+        for rank, state in enumerate(of_each_place(leaders(self.pool, WAYS, _BEAM))):
             if state.scanned or len(state.terms) >= DEPTH:
                 continue
             state.scanned = True
