@@ -246,10 +246,11 @@ def _physical_tails(fit: LinearFit, rest: Complex) -> Real:
     keep = len(OUTSIDE_FACTORS) + len(LOWER_FACTORS)
     low = np.arange(len(OUTSIDE_FACTORS), keep)
     share = np.linalg.lstsq(columns[low].real.T, columns[-1].real, rcond=None)[0]
-    parts, rest = (np.concatenate([part.real, part.imag], axis=1) for part in (columns, rest))
-    weights = 1 / np.sqrt(np.tile(fit.variance.plain, 2))
-    more = [np.linalg.lstsq((w * parts).T, w * r, rcond=1e-9)[0] for w, r in zip(weights, rest, strict=True)]
-    whole = fit.projection.tails + np.array(more)
+    whole = fit.projection.tails
+    if rest.any():
+        parts, rest = (np.concatenate([part.real, part.imag], axis=1) for part in (columns, rest))
+        weights = 1 / np.sqrt(np.tile(fit.variance.plain, 2))
+        whole = whole + [np.linalg.lstsq((w * parts).T, w * r, rcond=1e-9)[0] for w, r in zip(weights, rest, strict=True)]
     tails = whole[:, :keep].copy()
     tails[:, low] += whole[:, -1:] * share
     return np.asarray(tails)
