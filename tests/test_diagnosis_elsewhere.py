@@ -438,6 +438,25 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
     assert found.model.modes().n_modes == N
 
 
+def test_a_mode_is_held_against_a_state_with_its_spreads_estimated_as_that_was():
+    """An absorber with spreads estimated has more evidence than the mode without, and less than with them (frame 10128, two days)."""
+    mass, stiff = matrices()
+    frf = measured(mass, modes()[3], stiff, (0, 3), 2e-4, 1)
+
+    def again(idle):
+        return [Case(idle, frf, BAND, correlated=1.0)]
+
+    [one] = again(Idle.of(without_mode(identified(), 2), BAND, [DOFS[0], DOFS[3]]))
+    [grown] = grown_by_a_mode([fit(one, one.forward.start)])
+    first = with_mode(grown, again, -np.inf, lambda text: None).best
+    estimated = fit(first.case, first.x, first.alpha, own_spreads=True)
+    assert score(estimated) > score(first) + 10
+    bar = 0.5 * (score(first) + score(estimated))
+    assert with_mode(grown, again, bar, lambda text: None) is None
+    assert with_mode(grown, again, bar, lambda text: None, own_spreads=True).best.terms == first.terms
+    assert with_mode(grown, again, score(estimated) + 10, lambda text: None, own_spreads=True) is None
+
+
 def one_mode_more(w, phi, size, zeta):
     """FRFs of a mode 1.3 times as high as the second, of a part of its shape with signs changed, and its pole [rad/s]."""
     line, pole = 2j * np.pi * HZ, 1.3 * w[1]

@@ -390,7 +390,7 @@ def search_elsewhere(
         # what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most
         empty = found.empty
         for grown in grown_by_a_mode([replace(empty, x=empty.case.forward.start), empty]):
-            lacking = with_mode(grown, again, score(best.best), say)
+            lacking = with_mode(grown, again, score(best.best), say, own_spreads=bool(best.best.case.between.log_factors.any()))
             if lacking is None:
                 continue
             ended = search(lacking.best.case, say, start=lacking, depth=AT_FIRST)
@@ -423,7 +423,14 @@ def _same_pole(grown: Idle, other: Idle) -> bool:
     return abs(f / its - 1) < zeta + its_zeta
 
 
-def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, say: Say, untouched: bool = False) -> Lacking | None:
+def with_mode(
+    grown: Idle,
+    again: Callable[[Idle], Sequence[Case]],
+    bar: float,
+    say: Say,
+    untouched: bool = False,
+    own_spreads: bool = False,
+) -> Lacking | None:
     """States of an idle model with the mode that it lacks, where one lifts the score above a bar.
 
     Parameters
@@ -436,6 +443,8 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
     say : callable
     untouched : bool
         Whether it has to be one where nothing was touched, plainly more probable than another day.
+    own_spreads : bool
+        Whether the bar is of a state whose spreads were estimated: then it is reached with these estimated, too.
     """
     say(f"a mode missing in the idle model, near {grown.f[grown.lacking]:.4g} Hz:")
     cases = again(grown)
@@ -443,14 +452,16 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
     def fitted(case: Case, floor: float = -np.inf) -> State:
         return fit(case, approach(case, replace(case.forward.start, terms=grown.lacking_term))[1], 0.03, floor=floor)
 
-    starts = [fitted(cases[-1], bar)] if untouched else side_by_side(lambda case: fitted(case, bar), cases)
+    floor = -np.inf if own_spreads else bar
+    starts = [fitted(cases[-1], floor)] if untouched else side_by_side(lambda case: fitted(case, floor), cases)
     first = max(starts, key=score)
-    say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
-    if score(first) <= bar or not _apart(first):
+    reached = fitted_if_can_be(first.case, first.x, first.alpha, own_spreads=True, floor=bar) if own_spreads else first
+    say(f"  with it alone {(reached or first).log_evidence:.1f}, discrepancy {first.alpha:.4f}")
+    if reached is None or score(reached) <= bar or not _apart(first):
         return None
     # the fit of one hypothesis was not asked for yet, or left off far below the bar; the odds ask for its end
     those = [None] * (len(cases) - len(starts)) + starts
-    starts = [fitted(c) if s is None or score(s) <= bar else s for s, c in zip(those, cases, strict=True)]
+    starts = [fitted(c) if s is None or score(s) <= floor else s for s, c in zip(those, cases, strict=True)]
     if untouched and score(first) < score(starts[0]) + EARNED:
         return None
     empty = fit(first.case, first.case.forward.start, 0.1)

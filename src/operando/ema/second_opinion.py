@@ -198,7 +198,8 @@ def _macs(model: Any, poles: Sequence[_Pole | None], shapes: NDArray[Any]) -> li
         return []
     model.pole_ind = np.array([pole[2] for pole in found])
     model.get_constants(method="lsfd")
-    return [float(mac(np.asarray(model.A)[:, [i]], shapes[:, [i]])[0, 0]) for i in range(len(found))]
+    found_shapes = np.nan_to_num(model.A)  # one that is no number is like none
+    return [float(mac(found_shapes[:, [i]], shapes[:, [i]])[0, 0]) for i in range(len(found))]
 
 
 def _compared(
