@@ -40,7 +40,7 @@ def save(obj: Any, path: str | Path) -> None:
         raise FormatError(f"a {type(obj).__name__} cannot be represented in {kind}", where=str(path), hint="save it as .h5")
     write_objects(kind, Path(path), [obj])
     for text in losses(obj, kind, True):
-        warnings.warn(f"lost in {Path(path).name}: {text}", stacklevel=3)
+        warnings.warn(f"lost in {Path(path).name}: {text}", stacklevel=4)  # the line that calls the method
 
 
 def load_object(path: str | Path) -> Any:
