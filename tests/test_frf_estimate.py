@@ -13,6 +13,7 @@ from operando.dof import Dof
 from operando.errors import DataError
 from operando.frf import cross_spectra, effective_averages, estimate_frf, local_rational, merge_runs, reciprocity_error
 from operando.frf.estimators import estimate
+from operando.frf.hits import LEAST_BLOCK
 from operando.frf.inputs import run_input
 from operando.frf.rational import spectrum_lines
 from operando.frf.wholerecord import rational_run
@@ -398,3 +399,12 @@ def test_practice_case_against_its_exact_frf(case):
     assert relative(frf.data, exact) < 0.01
     assert 0.8 < np.mean(np.abs(frf.data - exact) ** 2 / frf.variance) < 1.25
     assert reciprocity_error(frf) < 0.01
+
+
+def test_a_block_has_eight_samples_or_more():
+    force = np.random.default_rng(0).standard_normal(2000)
+    record = TimeRecord(np.stack([force, 2 * force]), 100.0, [Channel("1+Z", "force", "N"), Channel("1+Z", "acceleration", "m/s2")])
+    assert estimate_frf(record, estimator="H1", block_seconds=LEAST_BLOCK / 100).frequencies_hz[1] == 100 / LEAST_BLOCK
+    with pytest.raises(DataError, match=r"0\.07 is 7 samples at 100 Hz, expected 8 or more") as error:
+        estimate_frf(record, block_seconds=0.07)
+    assert "0.08 s" in error.value.hint

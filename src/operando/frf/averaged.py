@@ -13,6 +13,7 @@ from operando.dof import Node
 from operando.errors import DataError
 from operando.frf.cut_off import cut_off_modes, with_whole_decays
 from operando.frf.estimators import estimate
+from operando.frf.hits import LEAST_BLOCK
 from operando.frf.impact import ImpactBlocks, impact_spectra
 from operando.frf.inputs import RunInput
 from operando.frf.rational import roughness_variance
@@ -48,7 +49,7 @@ def averaged_run(
 ) -> RunEstimate:
     """H1, H2 or Hv of one run, averaged over blocks or hits."""
     record = run.record
-    block = blocks.block if blocks is not None else max(8, round(block_s * record.sampling_hz))
+    block = blocks.block if blocks is not None else max(LEAST_BLOCK, round(block_s * record.sampling_hz))
     lines = _lines(band, record.sampling_hz, block)
     rate, share = 0.0, 0.0
     if blocks is None:

@@ -14,7 +14,7 @@ from operando.errors import DataError
 from operando.frf.averaged import averaged_run, few_averages
 from operando.frf.estimators import ESTIMATORS
 from operando.frf.excitation import at_lines, on_common_lines, periodic_runs, within_excited
-from operando.frf.hits import find_hits, is_impact, rejected_numbers
+from operando.frf.hits import LEAST_BLOCK, find_hits, is_impact, rejected_numbers
 from operando.frf.impact import ImpactBlocks, impact_blocks, overlap_finding
 from operando.frf.inputs import RunInput, run_input
 from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
@@ -68,8 +68,8 @@ def estimate_frf(
         no block length is given; H1 where blocks are long enough for the damping (hammer: where each response decays before the next
         hit), else ``lrm``; in any case of letters. The findings ``periodic_excitation`` and ``estimator`` give the reason.
     block_seconds : float, optional
-        Block length of H1, H2, Hv [s]. Default: an eighth of the record, less where the resonances are broad enough, or where the lines
-        of all pairs would be more than 4 million; hammer: the shortest time between two hits.
+        Block length of H1, H2, Hv [s], eight samples or more. Default: an eighth of the record, less where the resonances are broad
+        enough, or where the lines of all pairs would be more than 4 million; hammer: the shortest time between two hits.
     overlap : float, optional
         Overlap of blocks, default 0.5 with a Hann window, 0 with a rectangular one.
     window : {"hann", "rectangular"}, or for hammer hits {"rectangular", "force", "exponential", "force_exponential"}
@@ -130,6 +130,10 @@ def estimate_frf(
     seconds = "give a positive number of seconds"
     if block_seconds is not None and not (block_seconds := number_of(block_seconds, "block_seconds", seconds)) > 0:
         raise DataError(f"block_seconds = {block_seconds:g} is no length", hint=seconds)
+    slowest = min(run.record.sampling_hz for run in runs)
+    if block_seconds is not None and round(block_seconds * slowest) < LEAST_BLOCK:
+        short = f"block_seconds = {block_seconds:g} is {block_seconds * slowest:.2g} samples at {slowest:g} Hz"
+        raise DataError(f"{short}, expected {LEAST_BLOCK} or more", hint=f"give {LEAST_BLOCK / slowest:g} s or more")
     overlap = None if overlap is None else number_of(overlap, "overlap", "give a share from 0 to below 1")
     quantities = {r.quantity for r in runs}
     if len(quantities) > 1:

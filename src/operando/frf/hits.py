@@ -32,6 +32,8 @@ FINDING_KINDS = {
     "inconsistent_hit": "it hit another location or direction, or something else moved",
     "rejected_hit": "hits_reject names it",
 }
+LEAST_BLOCK = 8
+"""Samples of a block: three lines between 0 Hz and half the sampling rate, so that one has a neighbour on both sides."""
 LEAD_SAMPLES = 5
 """Samples before a pulse begins to rise where a stretch without it ends."""
 
@@ -303,7 +305,7 @@ def hit_blocks(hits: Hits, n_samples: int, block_seconds: float | None = None) -
     block, pre_trigger : int
         Samples.
     """
-    limit = n_samples if block_seconds is None else max(8, round(block_seconds * hits.sampling_hz))
+    limit = n_samples if block_seconds is None else max(LEAST_BLOCK, round(block_seconds * hits.sampling_hz))
     edges = np.append(hits.indices, n_samples)
     room = np.diff(edges)
     usable = room[hits.used]
