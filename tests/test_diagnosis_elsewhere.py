@@ -438,6 +438,21 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
     assert found.model.modes().n_modes == N
 
 
+@pytest.mark.parametrize(("no_laboratory", "depth"), [(True, 1), (False, 2)])
+def test_no_second_effect_is_looked_for_between_sensors_where_no_laboratory_has_such_days(monkeypatch, no_laboratory, depth):
+    state = SimpleNamespace(
+        terms=(Term("point_mass", (1,), (0.0,)),), alpha=0.0, case=SimpleNamespace(uncompressed=SimpleNamespace(midway={}))
+    )
+    found, asked = Found(state, state, {}), []
+    monkeypatch.setattr(hypotheses, "no_other_day", lambda best: no_laboratory)
+    monkeypatch.setattr(hypotheses, "with_midway", lambda idle, geometry: SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))
+    monkeypatch.setattr(hypotheses, "search", lambda case, say, **how: asked.append((case, how["depth"])) or found)
+    monkeypatch.setattr(hypotheses, "with_likely_sizes", lambda found, say: found)
+    monkeypatch.setattr(hypotheses, "score", lambda state: 0.0)
+    assert search_elsewhere(found, -1000.0, lambda idle: ("days", "one set-up"), object(), lambda text: None, 2, False) == (found, -1000.0)
+    assert asked == [("days", depth)]
+
+
 def test_a_mode_is_held_against_a_state_with_its_spreads_estimated_as_that_was():
     """An absorber with spreads estimated has more evidence than the mode without, and less than with them (frame 10128, two days)."""
     mass, stiff = matrices()
