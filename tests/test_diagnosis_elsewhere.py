@@ -439,7 +439,7 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
 
 
 @pytest.mark.parametrize(("no_laboratory", "depth"), [(True, 1), (False, 2)])
-def test_no_second_effect_is_looked_for_between_sensors_where_no_laboratory_has_such_days(monkeypatch, no_laboratory, depth):
+def test_between_sensors_one_step_is_made_where_no_laboratory_has_such_days(monkeypatch, no_laboratory, depth):
     state = SimpleNamespace(
         terms=(Term("point_mass", (1,), (0.0,)),), alpha=0.0, case=SimpleNamespace(uncompressed=SimpleNamespace(midway={}))
     )

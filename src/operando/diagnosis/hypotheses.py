@@ -376,7 +376,7 @@ def search_elsewhere(
             other, its_odds = search_both(cases[0], cases[1], say, depth=places)
         else:  # where effects are found that explain the lines, by the hypothesis that they are of
             known_spreads = places > 1 and (bool(found.best.terms) or found.best.alpha >= EXPLAINED)
-            # beside an effect at a sensor, none between sensors mends two days that no laboratory has; in its place one may
+            # where no laboratory has such days, one step tells whether an effect between sensors stands in the place of what was found
             depth = 1 if not same and no_other_day(found.best) else places
             other = search(cases[1 if same else 0], say, depth=depth, own_spreads=not known_spreads)
         other = with_likely_sizes(other, say)

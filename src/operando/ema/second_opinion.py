@@ -198,7 +198,7 @@ def _macs(model: Any, poles: Sequence[_Pole | None], shapes: NDArray[Any]) -> li
         return []
     model.pole_ind = np.array([pole[2] for pole in found])
     model.get_constants(method="lsfd")
-    found_shapes = np.nan_to_num(model.A)  # one that is no number is like none
+    found_shapes = np.nan_to_num(model.A, posinf=0.0, neginf=0.0)  # values that are no numbers are like no motion
     return [float(mac(found_shapes[:, [i]], shapes[:, [i]])[0, 0]) for i in range(len(found))]
 
 

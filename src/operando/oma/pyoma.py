@@ -117,7 +117,7 @@ def second_opinion(
     """
     orders, f, z, v, used = pyoma_poles(data, sampling_hz, rows, max_order, references, "cov")
     other = select_modes(classify(orders, f, z, v, tolerances), band=band, tolerances=tolerances)
-    likeness = mac(shapes, np.nan_to_num(other.selected_vectors))
+    likeness = mac(shapes, np.nan_to_num(other.selected_vectors, posinf=0.0, neginf=0.0))
     free = np.ones(other.selected_hz.size, bool)
     out: list[dict[str, Any]] = []
     for i in range(hz.size):
