@@ -15,7 +15,7 @@ from operando.data import Finding, Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose, verdict
 from operando.diagnosis.criteria import SUPPORTED, UNUSUAL
 from operando.diagnosis.document import noise_hides
-from operando.diagnosis.search import Found
+from operando.diagnosis.found import Found
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import moved_peaks, peaks_text, with_sizes
 from operando.results import CheckRun

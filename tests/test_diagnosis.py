@@ -32,7 +32,7 @@ from operando.diagnosis.criteria import (
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
 from operando.diagnosis.forward import Point
-from operando.diagnosis.hypotheses import _ALSO, first_effects, search_both
+from operando.diagnosis.hypotheses import _ALSO, Hypotheses, first_effects
 from operando.diagnosis.idle import RESIDUAL_DAMPING, Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
@@ -612,8 +612,8 @@ def test_a_size_is_surer_where_nothing_was_touched_between():
 def test_two_days_are_not_taken_for_one_set_up():
     gains = 1 + 0.01 * np.random.default_rng(3).standard_normal(N)
     both = (case(add_mass, gains=gains), case(add_mass, gains=gains, spreads={}))
-    found, odds = search_both(*both)
-    assert odds < -100
+    found = Hypotheses(*both).run()
+    assert found.odds < -100
     assert found.best.case.lines is both[0].lines  # that case, with the spreads that it teaches
 
 

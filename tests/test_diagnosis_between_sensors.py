@@ -12,12 +12,13 @@ from operando.diagnosis.arrow import Factor
 from operando.diagnosis.case import AsItIs, Case
 from operando.diagnosis.corrected import model_of
 from operando.diagnosis.criteria import EXPLAINED, LOOSE
+from operando.diagnosis.found import Found
+from operando.diagnosis.hypotheses import Hypotheses
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.midway import located, with_midway
 from operando.diagnosis.posterior import State
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.rival import started
-from operando.diagnosis.search import Found
 from operando.diagnosis.terms import Term
 from test_diagnosis import BAND, DOFS, N, identified, matrices, measured, modes
 from test_diagnosis_elsewhere import LINE
@@ -118,11 +119,12 @@ def test_locations_between_sensors_are_searched_once_where_none_leaves_little(mo
     monkeypatch.setattr(hypotheses, "Rival", lambda days, alone: SimpleNamespace(score=0.0))
     monkeypatch.setattr(hypotheses, "score", lambda state: state.log_evidence)
     monkeypatch.setattr(hypotheses, "search", lambda *args, **how: ran.append(args) or SimpleNamespace(best=ended))
-    found, alone = SimpleNamespace(empty=SimpleNamespace(case=case)), SimpleNamespace(log_evidence=-10.0)
+    monkeypatch.setattr(hypotheses, "fit", lambda case, x: SimpleNamespace(log_evidence=-10.0))
+    found, both = SimpleNamespace(empty=SimpleNamespace(case=case)), Hypotheses(case, case, again=lambda idle: (None, case), geometry=LINE)
     for bar in (-5.0, -5.0, 0.0):
-        assert hypotheses.with_nothing_touched(found, alone, lambda idle: (None, case), None, lambda text: None, bar) is None
+        assert both.one_between_sensors(found, bar) is None
     assert len(ran) == searches
-    hypotheses.with_nothing_touched(found, alone, lambda idle: (None, case), None, lambda text: None, -7.0)
+    both.one_between_sensors(found, -7.0)
     assert len(ran) == searches + 1
 
 

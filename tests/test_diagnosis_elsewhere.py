@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from operando.data import Frf, Geometry, ModalModel
-from operando.diagnosis import diagnose_frf, from_frf, hypotheses, sizes
+from operando.diagnosis import diagnose_frf, elsewhere, from_frf, hypotheses, sizes
 from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
@@ -28,26 +28,17 @@ from operando.diagnosis.criteria import (
     STRAINED,
     WITHOUT_SENSOR,
 )
-from operando.diagnosis.hypotheses import (
-    _HALF,
-    Lacking,
-    _apart,
-    between_sensors,
-    grown_by_a_mode,
-    instead_of_two,
-    mode_with_nothing_touched,
-    on_a_sum,
-    search_both,
-    search_elsewhere,
-    with_mode,
-)
+from operando.diagnosis.elsewhere import search_between_sensors
+from operando.diagnosis.found import Found
+from operando.diagnosis.hypotheses import _HALF, Hypotheses
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
-from operando.diagnosis.midway import TOGETHER, located, midway, with_midway
+from operando.diagnosis.lacking_mode import apart, grown_by_a_mode, with_mode
+from operando.diagnosis.midway import TOGETHER, between_sensors, located, midway, on_a_sum, with_midway
 from operando.diagnosis.posterior import fit, leaves_noise, on_validation_lines, unfitted
-from operando.diagnosis.rival import Rival, score, started
+from operando.diagnosis.rival import score, started
 from operando.diagnosis.scan import robust_cost, robust_scan
-from operando.diagnosis.search import _BESIDE, WAYS, Found, Search
+from operando.diagnosis.search import _BESIDE, WAYS, Search
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
 from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.sizes import _NEAR, _along_valley, with_likely_sizes
@@ -273,20 +264,21 @@ def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count
 
     As many do where one acts on the sum of two motions, which no part at these sensors has.
     """
-    monkeypatch.setattr(hypotheses, "on_a_sum", lambda state, geometry: on_sum)
+    monkeypatch.setattr(elsewhere, "on_a_sum", lambda state, geometry: on_sum)
     idle = SimpleNamespace(midway={9: (0.5, 0.0, 0.0)})
     at_sensors = SimpleNamespace(
         terms=(Term("ground_damper", (1,), (1.0,)), Term("ground_damper", (2,), (1.0,))), alpha=1e-3, log_evidence=0.0
     )
-    elsewhere = SimpleNamespace(terms=tuple(Term("ground_damper", (9 + i,), (1.0,)) for i in range(count)), alpha=1e-3, log_evidence=worth)
-    monkeypatch.setattr(hypotheses, "with_midway", lambda *args: idle)
-    monkeypatch.setattr(hypotheses, "search", lambda *args, **how: SimpleNamespace(best=elsewhere))
-    monkeypatch.setattr(hypotheses, "with_likely_sizes", lambda found, say: found)
-    monkeypatch.setattr(hypotheses, "score", lambda state: state.log_evidence)
+    there = SimpleNamespace(terms=tuple(Term("ground_damper", (9 + i,), (1.0,)) for i in range(count)), alpha=1e-3, log_evidence=worth)
+    monkeypatch.setattr(elsewhere, "with_midway", lambda *args: idle)
+    monkeypatch.setattr(elsewhere, "search", lambda *args, **how: Found(there, there, {}))
+    monkeypatch.setattr(elsewhere, "with_likely_sizes", lambda found, say: found)
+    monkeypatch.setattr(elsewhere, "score", lambda state: state.log_evidence)
     empty = SimpleNamespace(case=SimpleNamespace(uncompressed=SimpleNamespace(midway={})))
-    found = SimpleNamespace(best=at_sensors, empty=empty)
-    best, _ = search_elsewhere(found, 10.0, lambda idle: [None, None], BEAM, lambda text: None, 1, False)
-    assert (best.best is elsewhere) == taken
+    found = Found(at_sensors, empty, {}, odds=10.0)
+    got = search_between_sensors(found, lambda idle: [None, None], BEAM, lambda text: None, 1)
+    assert got.best is (there if taken else at_sensors)
+    assert got.odds == 10.0
 
 
 @pytest.mark.parametrize(
@@ -340,14 +332,17 @@ def test_what_another_day_has_at_both_neighbours_is_held_against_one_effect_betw
         "untouched": lambda state: False,
         "promotions": lambda state: [],
         "grown_by_a_mode": lambda states: [],
-    } | dict.fromkeys(("no_effect_at_a_sensor", "mode_with_nothing_touched", "as_channels_were", "back_to_one_set_up"), lambda *args: None)
+        "as_channels_were": lambda *args: None,
+    }
     for name, does in stands.items():
         monkeypatch.setattr(hypotheses, name, does)
+    for name in ("no_effect_at_a_sensor", "mode_alone", "back_to_one_set_up"):
+        monkeypatch.setattr(Hypotheses, name, lambda *args: None)
     bars = []
-    monkeypatch.setattr(hypotheses, "with_nothing_touched", lambda *args: bars.append(args[-1]))
-    found, odds = search_both(days, SimpleNamespace(), again=lambda idle: [], geometry=LINE)
+    monkeypatch.setattr(Hypotheses, "one_between_sensors", lambda self, found, bar: bars.append(bar))
+    found = Hypotheses(days, SimpleNamespace(), again=lambda idle: [], geometry=LINE).run()
     assert bars == [-10.0] * asked
-    assert (found.best, odds) == (best, -80.0)
+    assert (found.best, found.odds) == (best, -80.0)
 
 
 def test_places_between_sensors_are_those_of_neighbours_with_what_they_suggest():
@@ -443,13 +438,13 @@ def test_between_sensors_one_step_is_made_where_no_laboratory_has_such_days(monk
     state = SimpleNamespace(
         terms=(Term("point_mass", (1,), (0.0,)),), alpha=0.0, case=SimpleNamespace(uncompressed=SimpleNamespace(midway={}))
     )
-    found, asked = Found(state, state, {}), []
-    monkeypatch.setattr(hypotheses, "no_other_day", lambda best: no_laboratory)
-    monkeypatch.setattr(hypotheses, "with_midway", lambda idle, geometry: SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))
-    monkeypatch.setattr(hypotheses, "search", lambda case, say, **how: asked.append((case, how["depth"])) or found)
-    monkeypatch.setattr(hypotheses, "with_likely_sizes", lambda found, say: found)
-    monkeypatch.setattr(hypotheses, "score", lambda state: 0.0)
-    assert search_elsewhere(found, -1000.0, lambda idle: ("days", "one set-up"), object(), lambda text: None, 2, False) == (found, -1000.0)
+    found, asked = Found(state, state, {}, odds=-1000.0), []
+    monkeypatch.setattr(elsewhere, "no_other_day", lambda best: no_laboratory)
+    monkeypatch.setattr(elsewhere, "with_midway", lambda idle, geometry: SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))
+    monkeypatch.setattr(elsewhere, "search", lambda case, say, **how: asked.append((case, how["depth"])) or found)
+    monkeypatch.setattr(elsewhere, "with_likely_sizes", lambda found, say: found)
+    monkeypatch.setattr(elsewhere, "score", lambda state: 0.0)
+    assert search_between_sensors(found, lambda idle: ("days", "one set-up"), object(), lambda text: None, 2) is found
     assert asked == [("days", depth)]
 
 
@@ -533,7 +528,7 @@ def test_what_stands_instead_of_two_effects_is_tried_by_what_one_leaves(monkeypa
     whole = robust_cost(one, one.forward.start)
     best = robust_scan(one, one.forward.start)[0]
     assert -best[0] < _HALF * whole  # the mass that is there
-    monkeypatch.setattr(hypotheses, "mode_with_nothing_touched", lambda *args, **how: asked.append("mode"))
+    monkeypatch.setattr(Hypotheses, "lacking_mode", lambda *args, **how: asked.append("mode"))
 
     def scanned(case, x):
         at_sensor = (-part * whole, Term("point_mass", (1,), (0.0,)), False)
@@ -548,7 +543,7 @@ def test_what_stands_instead_of_two_effects_is_tried_by_what_one_leaves(monkeypa
     def again(idle):
         return [Case(idle, check_of(add_mass).frf, BAND, correlated=1.0) for _ in range(2)]
 
-    assert instead_of_two(one, days, Rival(one, days), 0.0, again, LINE, lambda text: None) is None
+    assert Hypotheses(one, one, again=again, geometry=LINE).instead_of_two() is None
     assert asked == (["between"] if part < _HALF else ["mode"])
 
 
@@ -557,12 +552,12 @@ def test_a_place_between_sensors_explains_the_check_as_the_idle_model_does_the_i
     """``AS_AT_REST``: up to twice the discrepancy at rest; beyond it, something else is asked."""
     one, at_rest = case(add_mass), 0.004
     days = fit(one, one.forward.start)
-    there = (Found(replace(days, alpha=share * AS_AT_REST * at_rest), days, {}), 10.0)
+    there = Found(replace(days, alpha=share * AS_AT_REST * at_rest), days, {}, odds=10.0)
     one.at_rest.robust = [(-robust_cost(one, one.forward.start), Term("point_mass", (1,), (0.0,)), False)]
-    monkeypatch.setattr(hypotheses, "with_nothing_touched", lambda *args, **how: there)
-    monkeypatch.setattr(hypotheses, "mode_with_nothing_touched", lambda *args, **how: None)
-    found = instead_of_two(one, days, Rival(one, days), at_rest, lambda idle: [], LINE, lambda text: None)
-    assert found == (there if taken else None)
+    monkeypatch.setattr(Hypotheses, "one_between_sensors", lambda *args, **how: there)
+    monkeypatch.setattr(Hypotheses, "lacking_mode", lambda *args, **how: None)
+    found = Hypotheses(one, one, at_rest=at_rest, again=lambda idle: [], geometry=LINE).instead_of_two()
+    assert found is (there if taken else None)
 
 
 def test_a_mode_that_does_not_explain_the_lines_alone_is_not_fitted_again():
@@ -579,11 +574,10 @@ def test_a_mode_that_does_not_explain_the_lines_alone_is_not_fitted_again():
         return [days, Case(idle, frf, BAND, SAME_SET_UP, correlated=1.0, like=days)]
 
     days, same = again(Idle.of(identified(), BAND, [DOFS[0], DOFS[3]]))
-    alone, empty = fit(days, days.forward.start), fit(same, same.forward.start)
-    found, rival = Found(empty, empty, {empty.key: empty}), Rival(days, alone)
-    assert alone.alpha > LOOSE
+    empty, both = fit(same, same.forward.start), Hypotheses(days, same, said.append, again=again)
+    assert both.alone.alpha > LOOSE
     for _ in range(2):
-        assert mode_with_nothing_touched(found, alone, rival, again, None, said.append, at_once=True) is None
+        assert both.lacking_mode(Found(empty, empty, {empty.key: empty}), at_once=True) is None
     tried = [text for text in said if text.startswith("a mode missing")]
     assert len(tried) == len(set(tried)) > 0
 
@@ -594,15 +588,15 @@ def test_of_modes_that_may_be_lacking_the_likeliest_is_searched_that_does_not_be
     one = case()
     state = fit(one, one.forward.start)
     both = {name: replace(state, alpha=0.003, log_evidence=nats) for name, nats in (("first", 1.0), ("likelier", 2.0))}
-    apart = {id(s): becomes_another not in (name, "both") for name, s in both.items()}
+    separate = {id(s): becomes_another not in (name, "both") for name, s in both.items()}
     one.at_rest.grown = list(both)
-    monkeypatch.setattr(hypotheses, "with_mode", lambda grown, *rest: Lacking(both[grown], state, {}, odds=5.0))
-    monkeypatch.setattr(hypotheses, "_explains", lambda state, alone: False)
-    monkeypatch.setattr(hypotheses, "_apart", lambda state: apart[id(state)])
+    monkeypatch.setattr(hypotheses, "with_mode", lambda grown, *rest: Found(both[grown], state, {}, odds=5.0))
+    monkeypatch.setattr(Hypotheses, "explains", lambda self, state: False)
+    monkeypatch.setattr(hypotheses, "apart", lambda state: separate[id(state)])
     monkeypatch.setattr(hypotheses, "search", lambda case, say, start, depth: start)
-    alone = replace(state, alpha=1.01 * LOOSE)
-    got = mode_with_nothing_touched(Found(state, state, {}), alone, Rival(one, alone), None, None, lambda text: None)
-    assert got is None if wanted is None else got[0].best is both[wanted]
+    monkeypatch.setattr(hypotheses, "fit", lambda case, x: replace(state, alpha=1.01 * LOOSE))
+    got = Hypotheses(one, one, again=lambda idle: []).lacking_mode(Found(state, state, {}))
+    assert got is None if wanted is None else (got.best, got.odds) == (both[wanted], 5.0)
 
 
 @pytest.mark.parametrize(("odds", "alpha", "asked"), [(-5.0, 0.99 * LOOSE, True), (5.0, 0.99 * LOOSE, False), (-5.0, 1.01 * LOOSE, False)])
@@ -610,16 +604,15 @@ def test_a_lacking_mode_is_looked_for_where_two_days_alone_leave_little(monkeypa
     """What differs between the days may stand for it: a weak mode was ``no_misfit``, 1260 nats worse than with it."""
     modes = []
 
-    def searched(days, one_set_up, *rest):
-        state = fit(days, days.forward.start)
-        return Found(state, replace(state, alpha=alpha), {state.key: state}), odds
+    def searched(self):
+        return Found(self.alone, replace(self.alone, alpha=alpha), {self.alone.key: self.alone}, odds=odds)
 
-    def elsewhere(found, odds, again, geometry, say, places, also_modes):
-        modes.append(also_modes)
-        return found, odds
+    def lacking(found, *rest):
+        modes.append(True)
+        return found
 
-    monkeypatch.setattr(from_frf, "search_both", searched)
-    monkeypatch.setattr(from_frf, "search_elsewhere", elsewhere)
+    monkeypatch.setattr(Hypotheses, "run", searched)
+    monkeypatch.setattr(from_frf, "search_lacking_mode", lacking)
     check = CheckRun("run", "1 N", check_of(lambda m, c, k: None).frf)
     assert diagnose_frf(identified(), [check], band=BAND).verdict == "no_misfit"
     assert modes == [True] * asked
@@ -727,16 +720,16 @@ def test_runs_of_two_levels_are_one_system_within_twice_their_noise(apart, one):
     assert not levels_disagree([runs[0], replace(runs[1], level="1 N")], BAND)
 
 
-@pytest.mark.parametrize(("share", "apart"), [(0.9, False), (1.1, True)])
-def test_a_mode_within_the_half_power_width_of_another_is_not_lacking(share, apart):
+@pytest.mark.parametrize(("share", "separate"), [(0.9, False), (1.1, True)])
+def test_a_mode_within_the_half_power_width_of_another_is_not_lacking(share, separate):
     one = case()
     r = 2
     width = 2 * one.idle.zeta[r]
     grown = _grown(fit(one, one.forward.start), one.idle.f[r] * (1 + share * width), one.idle.zeta[r], np.ones(N))
     case_of = Case(grown, rest(), BAND, correlated=1.0)
     state = SimpleNamespace(case=case_of, terms=case_of.idle.lacking_term)
-    assert _apart(state) is apart
-    assert _apart(SimpleNamespace(case=case_of, terms=()))  # explained without it
+    assert apart(state) is separate
+    assert apart(SimpleNamespace(case=case_of, terms=()))  # explained without it
 
 
 def test_an_information_that_rounding_made_singular_is_factored():

@@ -12,11 +12,12 @@ from operando.diagnosis.between import SPREAD_FACTOR, STATED
 from operando.diagnosis.criteria import LEAST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.days import unlike_days, untouched
 from operando.diagnosis.descent import _NOTHING, Descent
+from operando.diagnosis.found import Found
 from operando.diagnosis.posterior import NEAR, approach, fit, likely_alpha, linear_evidence, names, on_validation_lines
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import score
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import RIVALS, Found, search
+from operando.diagnosis.search import RIVALS, search
 from operando.diagnosis.spreads import likely_spreads, log_prior, rescaled
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import verdict_and_reason

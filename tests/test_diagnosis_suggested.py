@@ -11,7 +11,7 @@ import test_diagnose_modes as by_modes
 from operando.data import ModalModel
 from operando.diagnosis.between import SAME_SET_UP, SPREADS, Between
 from operando.diagnosis.case import Case
-from operando.diagnosis.hypotheses import search_both
+from operando.diagnosis.hypotheses import Hypotheses
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.modes_case import TOLD_BY_MODES
 from operando.diagnosis.suggested import _COUNT, _ROUGH, begun_with, suggested_by_modes
@@ -59,12 +59,12 @@ def test_a_search_begins_with_what_is_suggested():
     both = (case(heavy, gains=gains), case(heavy, gains=gains, spreads=SAME_SET_UP))
     mass = Term("point_mass", (1,), (float(np.log(0.4)),))
     said = []
-    found, odds = search_both(*both, said.append, depth=0, suggested=lambda: [Term("ground_spring", (2,), (6.0,)), mass])
+    found = Hypotheses(*both, said.append, depth=0, suggested=lambda: [Term("ground_spring", (2,), (6.0,)), mass]).run()
     assert found.best.key == (("point_mass", (1,)),)
     assert np.exp(found.best.terms[0].values[0]) == pytest.approx(0.8, abs=0.02)
-    assert odds < 0
+    assert found.odds < 0
     assert any("operational modes suggest" in line for line in said)
-    alone, _ = search_both(*both, depth=0)
+    alone = Hypotheses(*both, depth=0).run()
     assert alone.best.key == ()
     assert begun_with(both[0], []) is None
 
@@ -75,11 +75,11 @@ def test_a_gain_that_no_laboratory_has_is_tried_as_an_effect_where_nothing_was_t
     gains[2] = 0.8
     both = (case(add_mass, gains=gains), case(add_mass, gains=gains, spreads=SAME_SET_UP))
     said = []
-    found, odds = search_both(*both, said.append, depth=0, suggested=lambda: [Term("point_mass", (1,), (float(np.log(0.2)),))])
+    found = Hypotheses(*both, said.append, depth=0, suggested=lambda: [Term("point_mass", (1,), (float(np.log(0.2)),))]).run()
     assert found.best.key == (("point_mass", (1,)), ("sensor_gain", (2,)))
     values = {term.kind: term.values[0] for term in found.best.terms}
     assert np.exp(values["point_mass"]) == pytest.approx(0.4, abs=0.02)
-    assert odds > 0
+    assert found.odds > 0
     assert any("differences beyond those of laboratories as effects" in line for line in said)
     assert not any("on another day:" in line for line in said)
 

@@ -20,11 +20,11 @@ from unseen import NOISE, identified
 from operando.data import Frf, Geometry
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
+from operando.diagnosis.found import Found
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.midway import with_midway
 from operando.diagnosis.posterior import fit
 from operando.diagnosis.rival import started
-from operando.diagnosis.search import Found
 from operando.diagnosis.sizes import with_likely_sizes
 from operando.diagnosis.terms import Term
 from operando.threads import one_blas_thread

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import UNUSUAL, tolerated
+from operando.diagnosis.found import Found
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, left_on
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import score
-from operando.diagnosis.search import Found
 from operando.diagnosis.terms import IN_FRFS, Term, added
 from operando.diagnosis.unseen import UNSEEN
 from operando.diagnosis.verdict import Verdict, unlike_neighbours

@@ -29,16 +29,18 @@ from operando.diagnosis.document import (
     proposal,
     restricted,
 )
+from operando.diagnosis.elsewhere import search_between_sensors, search_lacking_mode
 from operando.diagnosis.farther_off import farther_off
+from operando.diagnosis.found import Found
 from operando.diagnosis.free_law import with_free_law
-from operando.diagnosis.hypotheses import AT_FIRST, between_sensors, search_both, search_elsewhere
+from operando.diagnosis.hypotheses import AT_FIRST, Hypotheses
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.midway import located
+from operando.diagnosis.midway import between_sensors, located
 from operando.diagnosis.poor_idle import one_effect, with_what_is_left
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
-from operando.diagnosis.search import DEPTH, WAYS, Found, search
+from operando.diagnosis.search import DEPTH, WAYS, search
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.suggested import suggested_by_modes
@@ -154,7 +156,7 @@ def diagnose_frf(
                 return []
             return suggested_by_modes(model, operating, band, asked["kinds"], asked["places"], say)
 
-        both, odds, asked_for_all = cases(model), None, kinds is None and places is None and not poor
+        both, asked_for_all = cases(model), kinds is None and places is None and not poor
         if poor:
             found = one_effect(both, say)
         elif between:
@@ -162,7 +164,7 @@ def diagnose_frf(
         else:
             alpha = 0.0 if rest is None else rest.state.alpha
             again = cases if asked_for_all else None
-            found, odds = search_both(both[0], both[1], say, alpha, again, AT_FIRST, geometry, suggested)
+            found = Hypotheses(both[0], both[1], say, alpha, again, AT_FIRST, geometry, suggested).run()
 
         def left() -> bool:
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
@@ -174,14 +176,15 @@ def diagnose_frf(
         # effects at two sensors may stand for one between them, and an absorber for a mode that is lacking
         elsewhere = AT_FIRST if left() else 1 if between_sensors(found.best, geometry) else 0
         # what differs between two days may stand for a mode, too: 1260 nats worse than with it (``benchmarks/hidden_effects/runs.md``)
-        days_alone = odds is not None and odds <= 0 and found.empty.alpha < LOOSE
+        days_alone = found.odds is not None and found.odds <= 0 and found.empty.alpha < LOOSE
         modes = left() or days_alone or any(t.kind == "tuned_absorber" for t in found.best.terms)
         if asked_for_all and found.unnamed is None and (elsewhere or modes):
-            found, odds = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
-            found = with_validation(found)
+            empty = found.empty
+            found = search_between_sensors(found, cases, geometry, say, elsewhere)
+            found = with_validation(search_lacking_mode(found, empty, cases, say) if modes else found)
         if 0 < len(found.best.terms) < DEPTH and left() and not explains_lines(found.best) and not no_other_day(found.best):
             say("further effects:")
-            found = with_validation(search(found.best.case, say, start=found))
+            found = with_validation(replace(search(found.best.case, say, start=found), odds=found.odds))
         # shapes between sensors can be made to be many a motion: a force at sensors, whose shapes are known, goes before one there
         behind = WAYS if found.best.case.idle.midway.keys() & set(touched(found.best.terms)) else 0.0
         if asked_for_all and found.unnamed is None and (left() or behind):
@@ -190,7 +193,7 @@ def diagnose_frf(
             found.unnamed = max(near, key=score, default=None)
         geometry = located(geometry, found.best.case.idle)
         of_a_sensor(found.best, idle, operating, geometry)
-        return told(idle, check, run, found, rest, geometry, band, compared, odds)
+        return told(idle, check, run, found, rest, geometry, band, compared)
 
 
 def diagnose(
@@ -339,16 +342,15 @@ def told(
     geometry: Geometry | None,
     band: tuple[float, float],
     compared: Mapping[str, Any] | None,
-    one_set_up: float | None,
 ) -> Diagnosis:
-    """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
+    """The diagnosis of a search."""
     case = found.best.case
     said = verdict(found, None if rest is None else rest.state)
     best, rivals = found.best, said.rivals
     name, why = said.name, said.why
     if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""
-    law = found.unnamed
+    law, one_set_up = found.unnamed, found.odds
     if law is not None:
         one_set_up = None if "stiffness" in law.case.between.spreads else score(law) - score(best)
     notes = notes_of(idle, check, run, found, rest, one_set_up)

@@ -14,13 +14,14 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import MOST_CHI_SQUARE
 from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder, odds_text, restricted
-from operando.diagnosis.hypotheses import search_both
+from operando.diagnosis.found import Found
+from operando.diagnosis.hypotheses import Hypotheses
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
 from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.posterior import AtRest, State, at_rest
 from operando.diagnosis.result import Diagnosis
-from operando.diagnosis.search import Found, search
+from operando.diagnosis.search import search
 from operando.diagnosis.verdict import no_other_answer, verdict, with_validation
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError
@@ -100,13 +101,13 @@ def diagnose_modes(
             days = ModesCase(model, lines, band, spreads_of(between or {}), asked, where)
             return [days] if between else [days, ModesCase(model, lines, band, SAME_SET_UP, asked, where, like=days)]
 
-        both, odds = cases(model), None
+        both = cases(model)
         if between:
             found = search(both[0], say)
         else:
             again = cases if kinds is None and places is None else None
-            found, odds = search_both(both[0], both[1], say, 0.0 if rest is None else rest.state.alpha, again)
-        return _diagnosis(idle, with_validation(found), rest, geometry, odds)
+            found = Hypotheses(both[0], both[1], say, 0.0 if rest is None else rest.state.alpha, again).run()
+        return _diagnosis(idle, with_validation(found), rest, geometry)
 
 
 def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:
@@ -138,8 +139,8 @@ def _within(model: ModalModel, band: tuple[float, float]) -> ModalModel:
     return model.select_modes((model.frequencies_hz >= band[0]) & (model.frequencies_hz <= band[1]))
 
 
-def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Geometry | None, one_set_up: float | None) -> Diagnosis:
-    """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
+def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Geometry | None) -> Diagnosis:
+    """The diagnosis of a search."""
     best = found.best
     lines: OperatingModes = best.case.lines  # type: ignore[assignment]
     said = verdict(found, None if rest is None else rest.state)
@@ -160,7 +161,7 @@ def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Ge
         {"by_dof": [], "by_band": [], "by_mode": _by_mode(found, final)},
         None,
         ("operating_modes",),
-        notes=tuple(_notes(found.best.case, lines, rest, one_set_up)),
+        notes=tuple(_notes(found.best.case, lines, rest, found.odds)),
         idle=idle,
         model=model_of(idle, final, geometry),
         judged_on={"state": "operating", "measured": _validated_on(lines)},

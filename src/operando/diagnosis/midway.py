@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from operando.data import Geometry
 from operando.diagnosis.criteria import BETWEEN_STD, COMMON_BETWEEN, LEAST_BETWEEN_STD, NEIGHBOURS
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.posterior import State
 from operando.dof import Dof, split_node
 from operando.errors import DataError, DofError
 from operando.structure.effects import spline_weights
@@ -178,3 +179,23 @@ def located(geometry: Geometry | None, idle: Idle) -> Geometry | None:
         return geometry
     nodes = (*geometry.nodes, *(idle.dofs[i].node for i in places))
     return replace(geometry, nodes=nodes, coordinates=np.concatenate([geometry.coordinates, np.array([*places.values()])]))
+
+
+def between_sensors(state: State, geometry: Geometry | None) -> bool:
+    """Whether one effect between two sensors may stand for what was found: for several at these; for one on their sum."""
+    if geometry is None:
+        return False
+    at_ends = (sum(bool({*t.places} & {*place.ends}) for t in state.terms) for place in midway(state.case.dofs, geometry))
+    return any(count > 1 for count in at_ends) or on_a_sum(state, geometry)
+
+
+def on_a_sum(state: State, geometry: Geometry | None) -> bool:
+    """Whether an effect acts on the difference of two neighbouring channels of opposite senses.
+
+    The sum of two motions is twice what lies half-way between them: what acts there changes the FRFs like this, and no spring does.
+    """
+    if geometry is None:
+        return False
+    dofs = state.case.dofs
+    ends = [set(p.ends) for p in midway(dofs, geometry) if dofs[p.ends[0]].sign != dofs[p.ends[1]].sign]
+    return any(t.structural and set(t.places) in ends for t in state.terms)

@@ -13,10 +13,11 @@ from operando.data import Frf
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ABOVE_ERROR, LOWERED
 from operando.diagnosis.forward import Point
+from operando.diagnosis.found import Found
 from operando.diagnosis.posterior import State, approach, fit, names
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, robust_scan
-from operando.diagnosis.search import Found, Search
+from operando.diagnosis.search import Search
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import supported
 

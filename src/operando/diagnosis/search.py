@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from operando.diagnosis.contained import contained
 from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE
 from operando.diagnosis.days import no_other_day, promotions, strained
 from operando.diagnosis.forward import Point
+from operando.diagnosis.found import Found, Key
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, approach, names
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
@@ -23,7 +24,6 @@ from operando.diagnosis.terms import Term
 from operando.processes import side_by_side
 
 Array = NDArray[Any]
-Key = tuple[tuple[str, tuple[int, ...]], ...]
 
 DEPTH = 5  # effects that a search looks for, one after the other, and the most of a state
 _FITTED, _APPROACHED, _BEAM = 3, 6, 3
@@ -41,30 +41,6 @@ WAYS = 30.0  # nats by which two ways to one state differ: 4 to 20 in what was r
 # a state so far below the best may be the better one at its end, and is scanned for one effect more as well
 _WORSE = 3.0  # times the cost of the best place of a scan, up to which others are approached
 LACKING = (0.2, 0.05)  # part of what an effect is worth that one at the same place, or elsewhere, may lack at first order to be fitted
-
-
-@dataclass
-class Found:
-    """What a search ends with.
-
-    Attributes
-    ----------
-    best, empty : State
-        The most probable state, and the one without effects.
-    pool : dict
-        All fitted states, by kinds and places.
-    unnamed : State, optional
-        With what explains the lines where nothing else does, and is no effect of the catalogue at a location: a force law of no kind, or
-        one on motions that no sensor shows.
-    as_well : list of State
-        What may stand in the place of the best, where evidence does not tell them apart.
-    """
-
-    best: State
-    empty: State
-    pool: dict[Key, State]
-    unnamed: State | None = None
-    as_well: list[State] = field(default_factory=list)
 
 
 def search(
@@ -213,31 +189,15 @@ class Search:
         return new
 
     def run(self) -> Found:
+        """One effect after the other, until nothing is left or none is found."""
         if self.start is None:
             if () not in self.pool:
                 self.fitted([Start(self.case.forward.start, 0.1, self.case)])
         else:
-            first = self.start
-            near = leaders(first.pool, RIVALS, _BEAM)
-            # from its own place: beside one effect more, the way back to a state is farther than its fit goes
-            fewer = [s for key, s in first.pool.items() if set(key) < set(first.best.key) and len(key) == len(first.best.key) - 1]
-            states = {s.key: s for s in (first.best, *near, *fewer, first.empty)}.values()
-            for state in states:
-                self.once(state.terms)
-                if not self.own_spreads:
-                    self.pool[state.key] = state
-            if self.own_spreads:
-                starts = [Start(s.x, s.alpha, s.case) for s in states]
-                self.fitted(starts[:1])
-                if self.pool and self._no_other_day(self.best()):
-                    self.say("  no two days in a laboratory differ like this: the search ends")
-                    return Found(self.best(), first.empty, {first.empty.key: first.empty} | self.pool)
-                if starts[1:]:
-                    # with nothing touched wider spreads lift no state to another: the rest is held against the best, else what that was
-                    self.fitted(starts[1:], floor=None if self.case.like is not None else first.best.log_evidence)
-                self.pool = self.pool or {first.best.key: first.best}
-                for key, state in self.pool.items():  # the idle model that it is about is the same
-                    state.robustly = key in first.pool and first.pool[key].robustly
+            ended = self._begin_with(self.start)
+            if ended:
+                self.say("  no two days in a laboratory differ like this: the search ends")
+                return Found(self.best(), self.start.empty, {self.start.empty.key: self.start.empty} | self.pool)
         empty = self.pool.get((), self.best())
         empty.robustly = self.start is not None
         if self.start is None and self.depth and self.best() is not empty and self.best().alpha > LOOSE:
@@ -245,38 +205,65 @@ class Search:
             self._robust_stage(empty)
         most = len(self.best().terms) + self.depth  # with more effects, what else may explain the lines comes before further ones
         for _ in range(self.depth):
-            was = self.best()
-            if len(was.terms) > most:
-                break
-            if was.alpha > LOOSE and not was.robustly:  # else a scan about it, of first order in all unknowns, sees what can be seen
-                was.robustly = True
-                approached = self._robust_stage(was)
-                self.ended = self.depth > 1 and not (was.terms or self._enough()) and self.simpler()
-                if self.ended:
-                    break
-                if self.depth > 1 and self.best().alpha > LOOSE and len(self.best().terms) <= most:
-                    self.one_more_about(was, approached)
-                if len(self.best().terms) > most or self._enough() or self._behind(was, _LITTLE, ()):
-                    break
-            self._grow()
-            if self.given_up:
-                break
-            now = self.best()
-            if len(now.terms) > 1:
-                rests = [[t for t in now.terms if t is not term] for term in now.terms]
-                self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if self.once(rest)])
-            best = self.best()
-            if not self._enough() and (self._behind(was, 0.5, best.terms) or (self.rival is not None and remounted(best))):
-                break
-            grown = len(best.terms) > len(was.terms)
-            if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
-                break
-            if self._enough() or self._no_other_day(best):
+            if not self._step(most):
                 break
         self._leave_to_days()
         if self.own_spreads and not self._no_other_day(self.best()):
             self._settle()
         return Found(max(self.pool.values(), key=score), empty, self.pool)
+
+    def _begin_with(self, first: Found) -> bool:
+        """The leaders of another search, each fitted anew where spreads are estimated; whether no laboratory has such days."""
+        near = leaders(first.pool, RIVALS, _BEAM)
+        # from its own place: beside one effect more, the way back to a state is farther than its fit goes
+        fewer = [s for key, s in first.pool.items() if set(key) < set(first.best.key) and len(key) == len(first.best.key) - 1]
+        states = list({s.key: s for s in (first.best, *near, *fewer, first.empty)}.values())
+        for state in states:
+            self.once(state.terms)
+        if not self.own_spreads:
+            self.pool |= {state.key: state for state in states}
+            return False
+        starts = [Start(s.x, s.alpha, s.case) for s in states]
+        self.fitted(starts[:1])
+        if self.pool and self._no_other_day(self.best()):
+            return True
+        if starts[1:]:
+            # with nothing touched wider spreads lift no state to another: the rest is held against the best, else what that was
+            self.fitted(starts[1:], floor=None if self.case.like is not None else first.best.log_evidence)
+        self.pool = self.pool or {first.best.key: first.best}
+        for key, state in self.pool.items():  # the idle model that it is about is the same
+            state.robustly = key in first.pool and first.pool[key].robustly
+        return False
+
+    def _step(self, most: int) -> bool:
+        """One effect more, in a state of no more than so many; whether a further one is to be looked for."""
+        was = self.best()
+        if len(was.terms) > most:
+            return False
+        if was.alpha > LOOSE and not was.robustly:  # else a scan about it, of first order in all unknowns, sees what can be seen
+            was.robustly = True
+            approached = self._robust_stage(was)
+            self.ended = self.depth > 1 and not (was.terms or self._enough()) and self.simpler()
+            if self.ended:
+                return False
+            if self.depth > 1 and self.best().alpha > LOOSE and len(self.best().terms) <= most:
+                self.one_more_about(was, approached)
+            if len(self.best().terms) > most or self._enough() or self._behind(was, _LITTLE, ()):
+                return False
+        self._grow()
+        if self.given_up:
+            return False
+        now = self.best()
+        if len(now.terms) > 1:
+            rests = [[t for t in now.terms if t is not term] for term in now.terms]
+            self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if self.once(rest)])
+        best = self.best()
+        if not self._enough() and (self._behind(was, 0.5, best.terms) or (self.rival is not None and remounted(best))):
+            return False
+        grown = len(best.terms) > len(was.terms)
+        if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
+            return False
+        return not (self._enough() or self._no_other_day(best))
 
     def _no_other_day(self, state: State) -> bool:
         """Whether the differences between two days, with their spreads estimated, are such as no laboratory has: no effect mends that."""

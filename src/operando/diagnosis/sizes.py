@@ -18,11 +18,11 @@ from scipy.special import logsumexp
 
 from operando.diagnosis.criteria import EXPLAINED, SCALE_BETWEEN, SCALE_BETWEEN_STD
 from operando.diagnosis.forward import Point
+from operando.diagnosis.found import Found
 from operando.diagnosis.midway import TOGETHER
 from operando.diagnosis.posterior import State, names
 from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import Say
-from operando.diagnosis.search import Found
 
 Array = NDArray[Any]
 _STEP = float(np.log(2))  # of the logarithm of a size, at most, from one that is held to the next: else one standard deviation

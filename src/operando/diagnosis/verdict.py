@@ -22,12 +22,13 @@ from operando.diagnosis.criteria import (
     UNUSUAL,
 )
 from operando.diagnosis.days import unlike_days, untouched
+from operando.diagnosis.found import Found
 from operando.diagnosis.free_law import free_law_text
 from operando.diagnosis.posterior import State, leaves_noise, left_on, on_fitted_lines, on_validation_lines, with_discrepancy
 from operando.diagnosis.result import spacing
 from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import RIVALS, Found
+from operando.diagnosis.search import RIVALS
 from operando.diagnosis.terms import BY_SLOPE, Term
 from operando.diagnosis.unseen import unseen_text
 from operando.dof import Dof
