@@ -139,11 +139,21 @@ def test_quantities_by_their_other_names():
     assert np.allclose(frf.values("dynamic stiffness") * compliance.data, 1)
     assert np.allclose(frf.values("apparent mass") * frf.data, 1)
     assert np.allclose(frf.values("mechanical impedance") * frf.to_quantity("mobility").data, 1)
-    assert modal().frf(LINES, quantity="compliance").quantity == "receptance"
+    for model in (modal(), operando.Model(modal())):
+        assert model.frf(LINES, quantity="compliance").quantity == "receptance"
     with pytest.raises(DataError, match=r"frf.values\('dynamic_stiffness'\)"):
         frf.to_quantity("dynamic_stiffness")
     with pytest.raises(DataError, match="did you mean 'receptance'"):
         quantity_named("receptence")
+
+
+def test_models_take_what_frfs_give():
+    """The axis of FRFs for their lines, and the patterns that FRFs are indexed by."""
+    frf = matrix()
+    for model in (modal(), operando.Model(modal())):
+        made = model.frf(frf.axis, "1*", frf.references)
+        assert made.axis == frf.axis
+        np.testing.assert_array_equal(made.data, model.frf(frf.frequencies_hz, "1+Z", frf.references).data)
 
 
 # Short forms.
@@ -158,6 +168,12 @@ def test_short_forms_are_short_and_harmless():
         assert "<script" not in page
         assert "\x1b" not in page
         assert page.startswith("<table>")
+    many = operando.ResidualTerms(np.arange(1.0, 41.0), np.full(40, 0.01), np.ones((12, 40)))
+    assert repr(many) == "<ResidualTerms: 40 residual terms at 12 DOFs; at 1, 2, 3, … (40) Hz>"
+    assert repr(matrix().axis).startswith("<FrequencyAxis: 300 lines, 5 to 60 Hz")
+    assert repr(operando.ModalCoupling(np.zeros((9, 9)), np.zeros((4, 9)))) == "<ModalCoupling: 9 terms at 4 DOFs>"
+    assert all(obj._repr_html_().startswith("<table>") for obj in (many, matrix().axis))
+    assert repr(operando.catalogue()["clearance"]) == "<EffectKind: clearance; a stop with play on both sides>"
     assert repr(modal()).startswith("<ModalModel: 4 modes at ")
     assert "1 force 3-Z; 2 responses 3+Z, 4+X; 1 other channel" in repr(record())
 
@@ -242,6 +258,7 @@ def test_results_are_saved_and_loaded(tmp_path):
     assert again.name == "pump"
     assert np.array_equal(again.idle.shapes, results.idle.shapes)
     assert repr(again) == "<Results: pump; 4 idle modes>"
+    assert again.to_dict()["idle"]["modes"] == results.to_dict()["idle"]["modes"] != []
 
 
 def test_tables_and_datasets():

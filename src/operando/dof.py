@@ -323,7 +323,7 @@ def named_dofs(wanted: object, available: Sequence[Dof]) -> tuple[Dof, ...]:
     Raises
     ------
     DofError
-        If a pattern matches nothing, or something is no label.
+        If a pattern matches nothing, something is no label, or none is named.
 
     Examples
     --------
@@ -352,6 +352,8 @@ def named_dofs(wanted: object, available: Sequence[Dof]) -> tuple[Dof, ...]:
         if not hits:
             raise _not_measured(text, available)
         found |= dict.fromkeys(hits)
+    if not found:
+        raise DofError(f"{wanted!r} names no DOF", hint="leave it out for all: " + ", ".join(map(str, available[:40])))
     return tuple(found)
 
 

@@ -20,7 +20,7 @@ class OperandoError(Exception):
         super().__init__(message)
         self.message = message
         self.where = where
-        self.hint = hint
+        self.hint = hint or None
 
     def __str__(self) -> str:
         text = f"{self.where}: {self.message}" if self.where else self.message

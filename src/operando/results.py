@@ -138,6 +138,11 @@ class Results(Short):
         """Other libraries on the data of both states."""
         return [*self.idle_libraries, *self.operating_libraries]
 
+    def to_dict(self) -> dict[str, Any]:
+        """``summary.json``; ``comparison`` and ``diagnosis`` hold the other two documents."""
+        document: dict[str, Any] = importlib.import_module("operando.pipeline.summary").summary(self)
+        return document
+
     def facts(self) -> dict[str, str]:
         """What the short form says."""
         errors = ((self.comparison or {}).get("models") or {}).get("ofrf") or {}

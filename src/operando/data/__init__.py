@@ -11,10 +11,11 @@ from operando.data.arrays import (
     ordered_band,
     positive_band,
 )
+from operando.data.axis import FrequencyAxis
 from operando.data.coupling import ModalCoupling
 from operando.data.declared import check_fields, explain_arguments, listed
 from operando.data.findings import Finding, group_findings, once_of_a_sense, with_further
-from operando.data.frf import FrequencyAxis, Frf
+from operando.data.frf import Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, force_rms, level_groups, one_level
 from operando.data.mapped import MappedSamples, RowStatistics, filling, mapped_rows, pieces, row_statistics

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data.arrays import frozen
-from operando.data.objects import ByContent
+from operando.data.objects import Shown, counted
 from operando.errors import DataError
 
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True, eq=False)
-class ModalCoupling(ByContent):
+@dataclass(frozen=True, repr=False, eq=False)
+class ModalCoupling(Shown):
     """Viscous damping that is not in proportion to stiffness and mass, as it ties the terms of a model of unit modal mass.
 
     In modal coordinates the damping matrix is then not diagonal (Rayleigh 1877, § 102). Between two terms of the model it is
@@ -66,6 +66,11 @@ class ModalCoupling(ByContent):
         rounding = 1e-9 * np.abs(damping).max(initial=0.0)
         if np.abs(damping - damping.T).max(initial=0.0) > rounding:
             raise DataError("damping between terms is not symmetric", hint="what is not is a gyroscopic or circulatory effect")
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        n_dofs, n_terms = self.lag.shape
+        return {"Terms": f"{counted(n_terms, 'term')} at {counted(n_dofs, 'DOF')}"}
 
     @property
     def beside(self) -> Array:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import bands_of, frozen, number_of, ordered_band
+from operando.data.axis import FrequencyAxis
 from operando.data.declared import check_fields, listed
 from operando.data.findings import Finding
-from operando.data.objects import ByContent, Noun, common_name, counted, names_text, plots
+from operando.data.objects import Noun, common_name, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, RECIPROCALS, quantity_named, unit_of
 from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
@@ -23,59 +24,6 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-3
 """How far a coherence may lie beyond 0 to 1, and a variance below 0 (as a share of the largest): files hold them in few digits."""
-
-
-@dataclass(frozen=True, eq=False)
-class FrequencyAxis(ByContent):
-    """Frequency lines, even or not.
-
-    Parameters
-    ----------
-    values : (n_lines,) array
-        Frequencies [Hz], increasing.
-
-    Raises
-    ------
-    DataError
-        If the values are not finite, negative, or not increasing.
-
-    Examples
-    --------
-    >>> import operando
-    >>> len(operando.FrequencyAxis([5.0, 5.5, 6.0]))
-    3
-    """
-
-    values: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        values = frozen(self.values, float, 1, "frequency axis")
-        object.__setattr__(self, "values", values)
-        if values.size == 0 or not np.all(np.isfinite(values)) or values[0] < 0 or np.any(np.diff(values) <= 0):
-            raise DataError("frequency lines must be finite, not negative and increasing, at least one")
-
-    @classmethod
-    def even(cls, start: float, step: float, count: int) -> FrequencyAxis:
-        """Evenly spaced lines."""
-        return cls(np.asarray(start + step * np.arange(count), float))
-
-    @property
-    def step(self) -> float | None:
-        """Spacing [Hz] if even to 1e-6 of it, else None."""
-        if self.values.size < 2:
-            return None
-        step = (self.values[-1] - self.values[0]) / (self.values.size - 1)
-        even = self.values[0] + step * np.arange(self.values.size)
-        return float(step) if np.allclose(self.values, even, rtol=0, atol=1e-6 * step + 1e-9 * self.values[-1]) else None
-
-    def __len__(self) -> int:
-        return int(self.values.size)
-
-    def band(self, low: float, high: float) -> slice:
-        """Lines within [low, high] Hz."""
-        i = int(np.searchsorted(self.values, low - 1e-9))
-        j = int(np.searchsorted(self.values, high + 1e-9, side="right"))
-        return slice(i, j)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -182,13 +130,12 @@ class Frf(Noun):
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""
-        f, step = self.frequencies_hz, self.axis.step
         return {
             "Name": self.name,
             "Quantity": f"{self.quantity} [{unit_of(self.quantity)}]" if self.si else f"{self.quantity}, units not known",
             "Responses": f"{counted(len(self.responses), 'response')} {names_text(self.responses)}",
             "References": f"{counted(len(self.references), 'reference')} {names_text(self.references)}",
-            "Lines": f"{counted(f.size, 'line')}, {f[0]:g} to {f[-1]:g} Hz" + ("" if step is None else f" in steps of {step:.4g} Hz"),
+            **self.axis.facts(),
             "Beside": ", ".join(n for n in ("variance", "coherence") if getattr(self, n) is not None),
             "Findings": counted(len(self.findings), "finding") if self.findings else "",
         }

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import frozen, numbers_of, positive_band
+from operando.data.arrays import frozen, positive_band
+from operando.data.axis import FrequencyAxis
 from operando.data.coupling import ModalCoupling
 from operando.data.declared import check_fields, listed
 from operando.data.findings import Finding
-from operando.data.frf import FrequencyAxis, Frf
+from operando.data.frf import Frf
 from operando.data.modal_figures import ModalFigures
 from operando.data.modal_poles import pole_form
 from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_signs, checked_terms, shape_rows
@@ -396,7 +397,7 @@ class ModalModel(ModalFigures, Noun):
         ----------
         frequencies : array
             Lines [Hz].
-        responses, references : DOF labels, optional
+        responses, references : DOF labels or patterns over them, optional
             Default: all DOFs of the model.
         quantity : {"accelerance", "mobility", "receptance"}
             Or another name of one of them.
@@ -407,6 +408,8 @@ class ModalModel(ModalFigures, Noun):
         ------
         DataError
             If the shapes are not scaled to unit modal mass.
+        DofError
+            If a DOF is not in the model, or none is named.
         """
         if self.scaling != "unit_modal_mass":
             raise DataError(
@@ -414,9 +417,8 @@ class ModalModel(ModalFigures, Noun):
                 hint="scale them with scale_operational, or give units to the EMA",
             )
         quantity = quantity_named(quantity, reciprocals=False)
-        resp = self.dofs if responses is None else parse_dofs(responses)
-        refs = self.dofs if references is None else parse_dofs(references)
-        axis = FrequencyAxis(np.atleast_1d(numbers_of(frequencies, "frequencies", "give an array in Hz, as numpy.arange(5, 145, 0.1)")))
+        resp, refs = named_dofs(responses, self.dofs), named_dofs(references, self.dofs)
+        axis = FrequencyAxis.of(frequencies)
         terms = self.terms
         if self.coupling is None:
             signed = terms.rows(refs) * terms.signs

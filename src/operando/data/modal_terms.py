@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
 from operando.data.coupling import ModalCoupling
-from operando.data.objects import ByContent
+from operando.data.objects import Shown, counted, names_text
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
 
 
-@dataclass(frozen=True, eq=False)
-class ResidualTerms(ByContent):
+@dataclass(frozen=True, repr=False, eq=False)
+class ResidualTerms(Shown):
     """Pseudo-modes that stand for what lies outside the band: part of every synthesis, never modes.
 
     Parameters
@@ -38,8 +38,8 @@ class ResidualTerms(ByContent):
     Examples
     --------
     >>> import numpy as np, operando
-    >>> operando.ResidualTerms(np.array([2.0]), np.array([0.01]), np.array([[0.1], [0.2]])).frequencies_hz.tolist()
-    [2.0]
+    >>> operando.ResidualTerms(np.array([2.0]), np.array([0.01]), np.array([[0.1], [0.2]]))
+    <ResidualTerms: 1 residual term at 2 DOFs; at 2 Hz>
     """
 
     frequencies_hz: NDArray[np.float64]
@@ -55,6 +55,13 @@ class ResidualTerms(ByContent):
 
     def __len__(self) -> int:
         return int(self.frequencies_hz.size)
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        return {
+            "Terms": f"{counted(len(self), 'residual term')} at {counted(len(self.shapes), 'DOF')}",
+            "Frequencies": f"at {names_text(f'{f:.4g}' for f in self.frequencies_hz)} Hz" if len(self) else "",
+        }
 
 
 @dataclass(frozen=True)

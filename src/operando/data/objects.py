@@ -146,17 +146,34 @@ def _same(one: Any, two: Any) -> bool:
     return bool(one == two) or (one != one and two != two)
 
 
-class Short(ByContent):
-    """Short ``repr``, and a table in notebooks, both from the facts that an object states about itself; and ``save`` to a file."""
+class Shown(ByContent):
+    """Short ``repr``, and a table in notebooks, both from the facts that an object states about itself."""
+
+    def facts(self) -> dict[str, str]:
+        """What the short form of the object says: name of each fact → words."""
+        return {}
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {'; '.join(printable(v) for v in self.facts().values() if v)}>"
+
+    def _repr_html_(self) -> str:
+        text = lambda value: html.escape(printable(value), quote=True)  # noqa: E731
+        rows = "".join(
+            f'<tr><th scope="row" style="text-align:left">{text(k)}</th><td style="text-align:left">{text(v)}</td></tr>'
+            for k, v in self.facts().items()
+            if v
+        )
+        caption = f'<caption style="text-align:left;font-weight:bold">{text(type(self).__name__)}</caption>'
+        return f"<table>{caption}<tbody>{rows}</tbody></table>"
+
+
+class Short(Shown):
+    """Adds ``save`` to a file, and a check of the fields."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def __post_init__(self) -> None:
         check_fields(self)
-
-    def facts(self) -> dict[str, str]:
-        """What the short form of the object says: name of each fact → words."""
-        return {}
 
     def save(self, path: str | Path) -> None:
         """Write the object into a file, which appears whole or not at all; :func:`operando.load` gives it back.
@@ -173,19 +190,6 @@ class Short(ByContent):
             If the name tells no format, or the format cannot take such an object.
         """
         importlib.import_module("operando.io.objects").save(self, path_of(path, "an object is saved to a path"))
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {'; '.join(printable(v) for v in self.facts().values() if v)}>"
-
-    def _repr_html_(self) -> str:
-        text = lambda value: html.escape(printable(value), quote=True)  # noqa: E731
-        rows = "".join(
-            f'<tr><th scope="row" style="text-align:left">{text(k)}</th><td style="text-align:left">{text(v)}</td></tr>'
-            for k, v in self.facts().items()
-            if v
-        )
-        caption = f'<caption style="text-align:left;font-weight:bold">{text(type(self).__name__)}</caption>'
-        return f"<table>{caption}<tbody>{rows}</tbody></table>"
 
 
 class Noun(Short):

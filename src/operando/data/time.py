@@ -312,7 +312,14 @@ class TimeRecord(Noun):
         out: list[tuple[int, Dof | None]] = []
         for name in names:
             out += [found for found in self._channel(name) if found not in out]
+        if not out:
+            raise DofError(f"{wanted!r} names no channel", where=self.name or None, hint="channels: " + ", ".join(self._labels()[:40]))
         return out
+
+    def _labels(self) -> list[str]:
+        """What each channel is called in square brackets."""
+        motion = set(self.response_indices)
+        return [c.label + ("" if i in motion else f":{c.quantity}") for i, c in enumerate(self.channels)]
 
     def _channel(self, wanted: str | Dof) -> list[tuple[int, Dof | None]]:
         text = str(wanted).strip()
@@ -335,7 +342,7 @@ class TimeRecord(Noun):
             there = [] if dof is None else [i for i in rows if (d := self.channels[i].dof) is not None and d.same_axis(dof)]
             if there:
                 return [(next((i for i in there if i in motion), there[0]), dof)]
-        labels = [c.label + ("" if i in motion else f":{c.quantity}") for i, c in enumerate(self.channels)]
+        labels = self._labels()
         near = get_close_matches(text, [*labels, *(c.name for c in self.channels)], 1, 0.5)
         hint = (f"did you mean {near[0]!r}? " if near else "") + "channels: " + ", ".join(labels[:40])
         raise DofError(f"there is no channel {text!r}", where=self.name or None, hint=hint)

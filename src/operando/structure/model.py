@@ -10,9 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, Short, counted, expect, number_of, numbers_of, several
+from operando.data import (
+    FrequencyAxis,
+    Frf,
+    Geometry,
+    ModalModel,
+    Receptances,
+    Short,
+    counted,
+    expect,
+    number_of,
+    numbers_of,
+    quantity_named,
+    several,
+)
 from operando.data.undriven import undriven_variance
-from operando.dof import Dof, match_dofs, parse_dofs
+from operando.dof import Dof, match_dofs, named_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
 from operando.structure.effects import Effect, parse_effect, place_weights
 from operando.structure.eigenproblem import running_modes, with_spread
@@ -195,11 +208,9 @@ class Model(Short):
         DofError
             If a DOF is not in the idle model.
         """
-        if quantity not in POWER:
-            raise DataError(f"quantity {quantity!r} is none of {', '.join(POWER)}")
-        resp = self.idle.dofs if responses is None else parse_dofs(responses)
-        refs = self.idle.dofs if references is None else parse_dofs(references)
-        axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
+        quantity = quantity_named(quantity, reciprocals=False)
+        resp, refs = named_dofs(responses, self.idle.dofs), named_dofs(references, self.idle.dofs)
+        axis = FrequencyAxis.of(frequencies)
         with one_blas_thread():
             data = self._receptance(axis.values, resp, refs)
             own = self._variance(axis.values, resp, refs) if variance else None

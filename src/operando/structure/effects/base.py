@@ -200,6 +200,9 @@ class EffectKind:
     says_removed: ClassVar[str] = ""
     confirms: ClassVar[str] = "measure again at another level and look whether the same effect is found"
 
+    def __repr__(self) -> str:
+        return f"<EffectKind: {self.kind}; {self.plain}>"
+
     # How it acts: one of these.
 
     def dynamic_stiffness(self, s: Array, values: Values) -> Array:
