@@ -103,6 +103,7 @@ def test_failure_is_1_with_one_json_document(args, tmp_path, monkeypatch):
     document = json.loads(done.stdout)
     assert document["schema"] == "operando/error/1"
     assert set(document) == {"schema", "error", "where", "hint"}
+    assert "" not in document.values()
     assert "unexpected" not in document["error"]
     done = call(*args)
     assert done.exit_code == 1

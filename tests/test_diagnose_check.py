@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from operando.cli.diagnose import steps_table
+from operando.compare.peaks import fit_peaks
 from operando.data import Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose
 from operando.diagnosis.terms import _HELD, Term
@@ -136,6 +137,13 @@ def test_runs_that_depend_on_level_are_not_explained(chain, idle):
     high = running(chain, [0, 3], stiffness=2e4 * at(2), seed=1)
     found = diagnose(idle, check=[CheckRun("low", "1 N rms", low.frf, 1.0), CheckRun("high", "4 N rms", high.frf, 4.0)])
     assert found.verdict in ("partial", "unexplained")
+    rows = found.to_dict()["by_level"]
+    assert [(row["level"], row["unit"]) for row in rows] == [(1.0, "N"), (4.0, "N")]
+    for row, run in zip(rows, (low, high), strict=True):
+        peaks = fit_peaks(run.frf.data.reshape(-1, HZ.size), HZ)
+        assert [m["frequency_hz"] for m in row["modes"]] == pytest.approx([p.frequency_hz for p in peaks], rel=1e-5)
+        assert [m["damping_ratio"] for m in row["modes"]] == pytest.approx([p.damping_ratio for p in peaks], rel=1e-2)
+        assert all(m["frequency_std_hz"] > 0 and m["damping_ratio_std"] > 0 for m in row["modes"])
 
 
 def test_kinds_without_a_location_alone_are_searched(chain, idle):

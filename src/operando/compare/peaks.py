@@ -47,7 +47,7 @@ class Peak:
     height : float
         ‖R‖/(−Re λ) over all pairs: the size of the modal contribution at resonance.
     residue : (n_pairs,) complex array
-    frequency_std_hz : float, optional
+    frequency_std_hz, damping_ratio_std : float, optional
         From what the fit leaves, and from how far the pairs differ where the mode drifts between them; NaN where lines are too few.
     """
 
@@ -56,6 +56,7 @@ class Peak:
     height: float
     residue: NDArray[np.complex128]
     frequency_std_hz: float = float("nan")
+    damping_ratio_std: float = float("nan")
 
 
 def _half_width(level_db: NDArray[np.float64], f: NDArray[np.float64], k: int) -> float:
@@ -151,7 +152,7 @@ def _fit_window(
 ) -> list[Peak]:
     """Peaks of one window; one peak may turn out to be two close modes, or one mode that drifts from pair to pair."""
     poles, cost = _fit_poles(y, f, start)
-    drift = 0.0
+    drift = np.zeros(2)
     # One mode and a smooth rest fit to within noise; a poor fit may be two modes.
     if start.size == 1 and f.size >= 12 and y.shape[0] > 1 and cost > SPLIT_TRIED**2 * float(np.sum(np.abs(y) ** 2)):
         apart = 0.5j * abs(poles[0].real)
@@ -162,11 +163,11 @@ def _fit_window(
             own, left = _own_poles(y, f, poles[0])
             left_by_pair = np.sum(power_of(_rest(pair, f, y.T)), axis=0)
             if np.mean(np.log(np.maximum(left, 1e-300) / np.maximum(left_by_pair, 1e-300))) < np.log(OWN_POLES):
-                drift = float(np.std(np.abs(own)) / 2 / np.pi)
+                drift = np.std([np.abs(own) / 2 / np.pi, -own.real / np.abs(own)], axis=1)
             else:
                 poles = pair
     poles = _improves(y, f, poles)
-    std = np.hypot(_frequency_std(y, f, poles, variance), drift) if poles.size else np.zeros(0)
+    std = np.hypot(_spread(y, f, poles, variance), drift[:, None])
     return _peaks_of(y, f, poles, w, std)
 
 
@@ -238,7 +239,7 @@ def _fit_poles(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.comple
 def _peaks_of(
     y: NDArray[Any], f: NDArray[np.float64], final: NDArray[np.complex128], w: NDArray[np.float64], std: NDArray[np.float64]
 ) -> list[Peak]:
-    """Peaks at given poles, with the standard deviations of their frequencies; a pole that left the window is dropped."""
+    """Peaks at given poles, with the standard deviations of frequencies and damping (2, n); a pole that left the window is dropped."""
     columns = y.T
     n = final.size
     solution = np.linalg.lstsq(_basis(final, f), columns, rcond=None)[0]
@@ -250,14 +251,15 @@ def _peaks_of(
             continue
         residue = solution[k] * half / np.where(w > 0, w, np.inf)
         height = float(np.linalg.norm(residue) / -final[k].real)
-        out.append(Peak(float(hz), float(-final[k].real / abs(final[k])), height, residue, float(std[k])))
+        out.append(Peak(float(hz), float(-final[k].real / abs(final[k])), height, residue, float(std[0, k]), float(std[1, k])))
     return out
 
 
-def _frequency_std(
+def _spread(
     y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128], variance: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Standard deviation of each pole's frequency [Hz], from what the fit leaves, and from the variance of the FRFs where that is more.
+    """Standard deviations of each pole's frequency [Hz] and damping ratio (2, n), from what the fit leaves, and from the variance of the
+    FRFs where that is more.
 
     Pairs share noise (that of the force), and lines near a peak may have more of it (noise in proportion to the FRF): lines alone
     are taken as independent, each with what it leaves over one minus its leverage. The variance of few lines is itself uncertain: that
@@ -267,7 +269,9 @@ def _frequency_std(
     n = poles.size
     free = 2 * (f.size - n - 3) - 2 * n
     if free < 3:
-        return np.full(n, np.nan)
+        return np.full((2, n), np.nan)
+    if n == 0:
+        return np.zeros((2, 0))
     columns, scale = y.T, -poles.real
     rest = _rest(poles, f, columns)
     ways = np.concatenate([np.diag(scale), 1j * np.diag(scale)])
@@ -280,9 +284,12 @@ def _frequency_std(
     middle = [by_line @ by_line.T * free / (free - 2)]
     if variance is not None:
         middle.append(_of_variance(columns, slope, rest, variance.T))
-    gradient = np.concatenate([np.diag(poles.real * scale), np.diag(poles.imag * scale)]) / np.abs(poles)
-    each = [np.einsum("ak,ab,bk->k", gradient, inverse @ m @ inverse, gradient) for m in middle]
-    return np.asarray(np.sqrt(np.max(each, axis=0)) / 2 / np.pi)
+    size = np.abs(poles)
+    of_hz = np.concatenate([np.diag(poles.real * scale), np.diag(poles.imag * scale)]) / size / 2 / np.pi
+    of_damping = np.concatenate([np.diag(-(poles.imag**2) * scale), np.diag(poles.real * poles.imag * scale)]) / size**3
+    gradients = np.stack([of_hz, of_damping])
+    each = [np.einsum("gak,ab,gbk->gk", gradients, inverse @ m @ inverse, gradients) for m in middle]
+    return np.asarray(np.sqrt(np.max(each, axis=0)))
 
 
 def _of_variance(y: NDArray[Any], slope: NDArray[Any], rest: NDArray[Any], variance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -325,6 +332,7 @@ def by_mode(measured: list[Peak], model: list[Peak]) -> list[dict[str, float | N
                 "frequency_hz": peak.frequency_hz,
                 "frequency_std_hz": peak.frequency_std_hz if np.isfinite(peak.frequency_std_hz) else None,
                 "damping_ratio": peak.damping_ratio,
+                "damping_ratio_std": peak.damping_ratio_std if np.isfinite(peak.damping_ratio_std) else None,
                 "frequency_error_percent": None if q is None else 100 * (q.frequency_hz / peak.frequency_hz - 1),
                 "height_error_db": None if q is None or peak.height == 0 else float(20 * np.log10(q.height / peak.height)),
                 "damping_error_percent": None if q is None else 100 * (q.damping_ratio / peak.damping_ratio - 1),

@@ -38,7 +38,7 @@ from operando.diagnosis.idle import Idle
 from operando.diagnosis.midway import between_sensors, located
 from operando.diagnosis.poor_idle import one_effect, with_what_is_left
 from operando.diagnosis.posterior import AtRest, at_rest
-from operando.diagnosis.result import Diagnosis, where_it_fails
+from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.rival import score
 from operando.diagnosis.search import DEPTH, WAYS, search
 from operando.diagnosis.sensor_mass import of_a_sensor
@@ -99,7 +99,7 @@ def diagnose_frf(
     progress : callable, optional
         Told what is being done.
     compared : mapping, optional
-        Errors of the idle model against the check, as :func:`operando.compare.compare_all` gives them.
+        ``comparison.json`` of the idle model and the check, as :func:`operando.compare.compare_all` gives it.
     between : mapping, optional
         What may differ between the idle and the operating measurement → one standard deviation (``[between]`` of a test file): of
         ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
@@ -241,7 +241,7 @@ def diagnose(
     exclude_bands : sequence of (float, float)
         Lines of the records left out [Hz].
     compared : mapping, optional
-        Errors of the idle model against the check, as :func:`operando.compare.compare_all` gives them.
+        ``comparison.json`` of the idle model and the check, as :func:`operando.compare.compare_all` gives it.
     between : mapping, optional
         What may differ between the idle and the operating measurement → one standard deviation (``[between]`` of a test file): of
         ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
@@ -359,7 +359,7 @@ def told(
     if name in FOUND and (worse := farther_off(best)):
         name, why = "partial", worse
     floor = floor_db(found.empty)
-    where = where_it_fails(idle, check, band, compared)
+    where, by_level = where_and_levels(idle, check, band, compared)
     poor = rest is not None and misses_idle_frfs(rest.state)
     if name == "inconclusive" and (poor or not best.terms) and (moved := moved_peaks(where["by_mode"], case.between.spreads)):
         name, why = "unexplained", f"{why + '; ' if why else ''}{peaks_text(moved)}"
@@ -391,6 +391,7 @@ def told(
         why or None,
         tuple(between_rows(final if law is None else law)),
         {"value": (law or best).alpha, "std": None},
+        by_level,
     )
 
 

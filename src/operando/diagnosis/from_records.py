@@ -11,7 +11,7 @@ import numpy as np
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnosis.at_level import level_picture
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
-from operando.diagnosis.result import Diagnosis, where_it_fails
+from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
 from operando.dof import Node
 from operando.errors import MissingError, OperandoError
@@ -170,7 +170,8 @@ def merged(
     seen = replace(seen, picture=picture, notes=(*words, *seen.notes, *notes))
     if not check:
         return seen
-    return replace(seen, where=where_it_fails(idle, check, band or idle.band_hz, compared), data=("check_frf", *seen.data))
+    where, by_level = where_and_levels(idle, check, band or idle.band_hz, compared)
+    return replace(seen, where=where, by_level=by_level, data=("check_frf", *seen.data))
 
 
 def with_levels(

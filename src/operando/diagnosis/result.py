@@ -52,6 +52,8 @@ class Diagnosis(Drawn, Short):
         What stands in the way of a better verdict.
     between, discrepancy : tuple of dict and dict, optional
         What differs between the two measurements and is no missing physics; the share of the FRFs that no parameter explains.
+    by_level : tuple of dict, optional
+        Modes of the validation FRFs, run by run; None without such FRFs.
 
     Examples
     --------
@@ -81,6 +83,7 @@ class Diagnosis(Drawn, Short):
     reason: str | None = None
     between: tuple[dict[str, Any], ...] | None = None
     discrepancy: dict[str, Any] | None = None
+    by_level: tuple[dict[str, Any], ...] | None = None
 
     def facts(self) -> dict[str, str]:
         """What the short form says; ± is the 95 % interval."""
@@ -115,18 +118,25 @@ class Diagnosis(Drawn, Short):
             "detectable": [dict(row) for row in self.detectable],
             "between": None if self.between is None else [dict(row) for row in self.between],
             "discrepancy": self.discrepancy,
-            "by_level": None,  # not estimated yet
+            "by_level": None if self.by_level is None else [dict(row) for row in self.by_level],
         }
 
 
-def where_it_fails(
+def where_and_levels(
     idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None, compared: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """``by_dof``, ``by_band``, ``by_mode`` of the idle model on the runs of the lowest level: the figures of the comparison."""
+) -> tuple[dict[str, Any], tuple[dict[str, Any], ...]]:
+    """``where``, of the idle model on the runs of the lowest level, and ``by_level``: both as the comparison has them."""
     from operando.compare import compare_all
 
-    made = compared or compare_all({"idle": idle}, check, band)["models"]["idle"]
-    return {key: made[key] for key in ("by_dof", "by_band", "by_mode")}
+    document = compared or compare_all({"idle": idle}, check, band)
+    where = {key: document["models"]["idle"][key] for key in ("by_dof", "by_band", "by_mode")}
+    measured = ("frequency_hz", "frequency_std_hz", "damping_ratio", "damping_ratio_std")
+    by_level = tuple(
+        {key: run[key] for key in ("name", "level", "unit", "level_name")}
+        | {"modes": [{key: mode[key] for key in measured} for mode in run["models"]["idle"]["by_mode"]]}
+        for run in document["by_run"]
+    )
+    return where, by_level
 
 
 def spacing(geometry: Geometry | None) -> float:

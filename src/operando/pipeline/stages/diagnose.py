@@ -24,6 +24,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
     runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     if not runs and results.operating is None:
         raise Lacking("there are neither validation FRFs nor operational modes")
+    compared = results.comparison if runs and results.comparison is not None and "idle" in results.comparison["models"] else None
     findings: list[Finding] = []
     found = diagnose(
         idle,
@@ -38,7 +39,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
         idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(work.analysis.exclude_bands),
         exclude_bands=work.analysis.exclude_bands,
         between=work.test.between,
-        compared=None if results.comparison is None or not runs else results.comparison["models"].get("idle"),
+        compared=compared,
     )
     document = found.to_dict()
     comparison = results.comparison
