@@ -11,13 +11,7 @@ from operando.errors import DataError
 
 
 def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = None, name: str = "array") -> NDArray[Any]:
-    """Read-only view or copy of ``value``; the caller's array stays writable.
-
-    Raises
-    ------
-    DataError
-        If it holds no numbers, or the number of dimensions is not ``ndim``.
-    """
+    """Read-only view or copy of ``value``; the caller's array stays writable."""
     try:
         array = np.asarray(value, dtype=dtype)
     except (TypeError, ValueError, OverflowError) as error:

@@ -324,26 +324,7 @@ def filling(shape: tuple[int, int], dtype: DTypeLike) -> Iterator[_Filled]:
 
 
 def scaled_rows(data: Any, factors: Sequence[float]) -> Any:
-    """Rows of samples, each times its factor; samples in a file are multiplied as they are read.
-
-    Parameters
-    ----------
-    data : (n_channels, n_samples) array or MappedSamples
-        Samples.
-    factors : sequence of float
-        One a row.
-
-    Returns
-    -------
-    (n_channels, n_samples) array or MappedSamples
-        The same object where all factors are 1.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> scaled_rows(np.ones((2, 2)), [1.0, 1000.0]).tolist()
-    [[1.0, 1.0], [1000.0, 1000.0]]
-    """
+    """Rows (n_channels, n_samples), each times its factor; samples in a file are multiplied as they are read."""
     if all(factor == 1.0 for factor in factors):
         return data
 

@@ -17,20 +17,12 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class PoleForm:
-    """Frequencies and damping ratios of the poles of tied terms.
+    """Frequencies and damping ratios (n,) of the poles of tied terms.
 
     With tied terms the diagonals of the modal damping and stiffness matrices say 2ζω and ω² of no pole. This form has the poles, and
-    the rest of both diagonals in the coupling, so FRFs are the same.
-
-    Parameters
-    ----------
-    frequencies_hz, damping_ratios : (n,) arrays
-    by_terms : (2n, 2n) array
-        Derivative of [f; ζ] of the poles by [f (Hz); ζ] of the terms.
-    by_damping : (2n, n, n) array
-        By the damping between two terms [1/s], each counted in both triangles.
-    vectors : (n, n) complex array
-        The mode of each pole over the terms, its own entry 1.
+    the rest of both diagonals in the coupling, so FRFs are the same. ``by_terms`` (2n, 2n) is the derivative of [f; ζ] of the poles by
+    [f (Hz); ζ] of the terms, ``by_damping`` (2n, n, n) by the damping between two terms [1/s], each counted in both triangles; ``vectors``
+    (n, n) the mode of each pole over the terms, its own entry 1.
     """
 
     frequencies_hz: Array

@@ -180,13 +180,7 @@ class ModalTerms:
 def checked_terms(
     frequencies_hz: ArrayLike, damping_ratios: ArrayLike, shapes: ArrayLike, what: str, n_dofs: int | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[Any]]:
-    """Frequencies, damping ratios and shapes as read-only arrays that belong together.
-
-    Raises
-    ------
-    DataError
-        If they do not, a frequency is negative, or a value not finite.
-    """
+    """Frequencies, damping ratios and shapes as read-only arrays that belong together."""
     hz = frozen(frequencies_hz, float, 1, "frequencies_hz")
     zeta = frozen(damping_ratios, float, 1, "damping_ratios")
     values = np.asarray(shapes)
@@ -206,13 +200,7 @@ def checked_terms(
 
 
 def checked_signs(signs: ArrayLike | None, n: int) -> NDArray[np.float64]:
-    """One sign a term, read-only.
-
-    Raises
-    ------
-    DataError
-        If there are more or fewer, or they are not 1 and −1.
-    """
+    """One sign a term, read-only."""
     values = frozen(np.ones(n) if signs is None else signs, float, 1, "signs")
     if values.size != n or not np.all(np.abs(values) == 1):
         raise DataError(f"signs of residual terms are 1 and −1, one a term: {values.size} for {n} terms")

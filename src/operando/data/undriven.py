@@ -14,22 +14,11 @@ of each, and of that of one DOF over its own: with these the 95 % bands of 72 si
 
 
 def undriven_variance(terms: ModalTerms, rows: ArrayLike, columns: ArrayLike, known: ArrayLike = ()) -> NDArray[np.float64]:
-    """Variance E|ΔH|² [m²/N²] of receptances for what lies above the band, on any line; 0 where a DOF was driven.
+    """Variance E|ΔH|² [m²/N²] (rows, columns) of receptances for what lies above the band, on any line; 0 where a DOF was driven.
 
     The residual terms are fitted to the driven columns, and where they go on to other columns they are a guess: of each undriven DOF a
     term of its own holds a compliance that was seen nowhere, and nothing says how those of two DOFs go together. Such an error has the
-    sense of the FRF or the opposite, so it counts twice as much as a circular one.
-
-    Parameters
-    ----------
-    rows, columns : int arrays
-        DOFs.
-    known : int array, optional
-        DOFs of which a validation measurement has told this.
-
-    Returns
-    -------
-    (rows, columns) array
+    sense of the FRF or the opposite, so it counts twice as much as a circular one. Of ``known`` DOFs a validation measurement told this.
     """
     shapes, residual = np.asarray(terms.shapes), np.flatnonzero(terms.residual)
     alone = [r for r in residual if np.count_nonzero(shapes[:, r]) == 1 < len(terms.dofs)]

@@ -45,19 +45,9 @@ def floor_variance(hz: Real, zeta: Real, shapes: Real) -> Real:
 class LinearModes:
     """The linear stage's own answer, kept beside the polished one.
 
-    Parameters
-    ----------
-    frequencies_hz, damping_ratios, frequency_std_hz, damping_ratio_std : (n,) arrays
-        Poles with doubts included.
-    evidence : tuple of Evidence
-    scaled : (n,) bool array
-        Modes whose scale a drive point gives.
-    model_error : float
-        α: median over the pairs of the error in proportion to the FRF.
-    correlation : float
-        ν: lines that count as one.
-    sensor_offset : float
-        What an offset of the sensors (1/s), which no structure has, is of the FRFs: median over lines and pairs.
+    Poles are with doubts included; ``scaled`` says which modes a drive point scales. ``model_error`` is α, the median over the pairs of the
+    error in proportion to the FRF, ``correlation`` ν, lines that count as one, and ``sensor_offset`` what an offset of the sensors (1/s),
+    which no structure has, is of the FRFs: median over lines and pairs.
     """
 
     frequencies_hz: Real

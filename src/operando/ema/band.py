@@ -13,30 +13,11 @@ from operando.limits import LEAST_LINES
 
 
 def analysis_band(given: Frf, lines_hz: Real, band: Any) -> tuple[tuple[float, float], tuple[Finding, ...]]:
-    """Limits of the band that is analysed [Hz], and what is to be said of it.
+    """Limits of the band that is analysed [Hz], and what is to be said of it; without a band the lines without those at the edges.
 
-    Parameters
-    ----------
-    given : Frf
-        As measured: a band ends with its last line.
-    lines_hz : (n_lines,) array
-        Lines that are used: those of ``given`` without excluded bands.
-    band : (float, float), optional
-        As asked for; default: the lines without those at the edges.
-
-    Returns
-    -------
-    band : (float, float)
-    findings : tuple of Finding
-        ``band_beyond_lines`` where the band asked for reaches beyond the last line by more than the spacing of the lines. FRFs of records
-        end below half the sampling rate, and where the force ends; the band of a test file is for all its data, so this is no error.
-
-    Raises
-    ------
-    DataError
-        If the band is empty, reversed, begins below 0 Hz or is no pair of numbers.
-    IdentificationError
-        If it holds too few lines.
+    ``lines_hz`` are the lines of ``given`` without excluded bands. ``band_beyond_lines`` is said where the band asked for reaches beyond
+    the last line by more than the spacing of the lines. FRFs of records end below half the sampling rate, and where the force ends; the
+    band of a test file is for all its data, so this is no error.
     """
     f = lines_hz
     if band is None:

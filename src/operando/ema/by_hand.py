@@ -36,22 +36,10 @@ def modes_by_hand(
 ) -> ModalModel:
     """The automatic model with other modes: those it has keep their values, new ones come from a linear fit beside them.
 
-    Parameters
-    ----------
-    automatic : ModalModel
-        With :class:`operando.ema.EmaDetails`.
-    modes_hz : sequence of float
-        Exactly these [Hz]; else those of the automatic answer, ``select_hz`` besides, without the one nearest to each ``reject_hz``.
-        Each means the pole nearest to it, within ``HAND_TOLERANCE``: one per cent, as a frequency is read off a plot, and as the
-        workbench and operational modes take it. The damping of a pole does not widen it: fits leave many poles of large damping.
-    select_hz, reject_hz : sequences of float
-    add_modes : callable
-        Poles (hz, zeta) → linear fit of exactly these, and its shapes.
-
-    Raises
-    ------
-    IdentificationError
-        If no stable pole is near a frequency named, two reach one pole, one is not there once it is fitted, or no mode is left.
+    Exactly ``modes_hz``; else those of the automatic answer, ``select_hz`` besides, without the one nearest to each ``reject_hz``. Each
+    means the pole nearest to it, within ``HAND_TOLERANCE``: one per cent, as a frequency is read off a plot, and as the workbench and
+    operational modes take it. The damping of a pole does not widen it: fits leave many poles of large damping. ``add_modes`` makes of poles
+    (hz, zeta) the linear fit of exactly these, and its shapes.
     """
     terms, details = automatic.terms, automatic.details
     n = automatic.n_modes
@@ -199,22 +187,8 @@ def _positions(residual: NDArray[np.bool_], keep: NDArray[np.bool_]) -> NDArray[
 def _with_new(model: ModalModel, new: dict[Pole, float], known: list[Pole], n: int, add_modes: AddModes) -> tuple[ModalModel, list[float]]:
     """The model and modes it lacks, with the poles and shapes that a linear fit beside all ``n`` automatic modes gives these.
 
-    Automatic modes that are not wanted stand in that fit, too: without them a new pole would move to one of them.
-
-    Parameters
-    ----------
-    model : ModalModel
-    new : dict
-        Pole → frequency that named it [Hz].
-    known : list of Pole
-        Of the automatic answer, its ``n`` modes first.
-    n : int
-    add_modes : callable
-
-    Raises
-    ------
-    IdentificationError
-        If one of the new ones is not where it was named, or is a part of a mode that is there.
+    Automatic modes that are not wanted stand in that fit, too: without them a new pole would move to one of them. ``new`` has the frequency
+    [Hz] that named each pole; ``known`` are those of the automatic answer, its ``n`` modes first.
     """
     poles = sorted({*known[:n], *new})
     fit, mass = add_modes(np.array([h for h, _, _ in poles]), np.array([z for _, z, _ in poles]))
@@ -279,13 +253,7 @@ def _beside(hz: float, poles: Sequence[Pole], widths: float = NEAR_WIDTHS) -> fl
 
 
 def _named(poles: Sequence[Pole], wanted: Sequence[float]) -> dict[Pole, float]:
-    """The pole nearest to each frequency named by hand, with that frequency.
-
-    Raises
-    ------
-    IdentificationError
-        If none is near enough to be meant, or two frequencies mean one.
-    """
+    """The pole nearest to each frequency named by hand, with that frequency."""
     out: dict[Pole, float] = {}
     for hz in wanted:
         best = min(poles, key=lambda p: abs(p[0] - hz), default=None)
@@ -302,13 +270,7 @@ def _named(poles: Sequence[Pole], wanted: Sequence[float]) -> dict[Pole, float]:
 
 
 def _expect_there(wanted: float, found: float, fitted: float, known: Sequence[Pole], beside: float | None) -> None:
-    """Refuse a pole that is not what was named once it is fitted beside the modes: elsewhere, or a part of another one.
-
-    Raises
-    ------
-    IdentificationError
-        It names the nearest poles of the automatic answer.
-    """
+    """Refuse a pole that is not what was named once it is fitted beside the modes: elsewhere, or a part of another one."""
     if beside is None and abs(fitted - wanted) <= HAND_TOLERANCE * wanted:
         return
     what = f"the candidate at {found:.6g} Hz is at {fitted:.6g} Hz once it is fitted"

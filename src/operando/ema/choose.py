@@ -77,22 +77,7 @@ def choose_modes(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[LinearFit, ChoiceLog]:
-    """Fit the starting poles and settle which are modes.
-
-    Parameters
-    ----------
-    pairs : Pairs
-        On all lines.
-    start : Poles
-        Candidates, by rising frequency.
-    band : (float, float)
-        Analysis band [Hz]: missing modes are looked for inside.
-
-    Raises
-    ------
-    IdentificationError
-        If no pole is left.
-    """
+    """Fit the starting poles, by rising frequency, and settle which are modes; missing ones are looked for inside the band."""
     log = ChoiceLog()
     f = pairs.frequencies_hz
     ends = float(f[0]), float(f[-1])

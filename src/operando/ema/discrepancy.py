@@ -34,15 +34,8 @@ CACHE_VALUES = 1 << 15
 class Variance:
     """What a residual is made of.
 
-    Parameters
-    ----------
-    total : (P, L) array
-        Variance over the Student weight: what the next least-squares fit divides by.
-    plain : (P, L) array
-        κ v + α² M, (m/s²/N)².
-    pooled : (P, L) array
-        The same with the α of all pairs, for the search of missing modes: around such a mode a pair's own α has grown.
-    kappa, alpha : (P,) arrays
+    ``total`` (P, L) is the variance over the Student weight: what the next least-squares fit divides by; ``plain`` κ v + α² M, (m/s²/N)²;
+    ``pooled`` the same with the α of all pairs, for the search of missing modes: around such a mode a pair's own α has grown.
     """
 
     total: Real
@@ -53,18 +46,10 @@ class Variance:
 
 
 def fit_variance(error: Complex, power: Real, noise: Real, noise_known: bool) -> Variance:
-    """Maximum-likelihood κ and α of each pair, by multiplicative updates.
+    """Maximum-likelihood κ and α of each pair, by multiplicative updates, from the residuals of the linear fit, all (P, L).
 
-    Parameters
-    ----------
-    error : (P, L) complex array
-        Residuals of the linear fit.
-    power : (P, L) array
-        M: Σ_r|mode r in the pair|² + |tails|².
-    noise : (P, L) array
-        v: shape of the noise variance, or the variance itself.
-    noise_known : bool
-        Whether v comes from a measurement (coherence): κ is then at least 1.
+    ``power`` is M: Σ_r|mode r in the pair|² + |tails|²; ``noise`` v: the noise variance, or its shape. Where v comes from a measurement
+    (coherence), κ is at least 1.
     """
     squares = power_of(error)
     kappa, alpha2 = np.ones(error.shape[0]), np.full(error.shape[0], ALPHA_START**2)

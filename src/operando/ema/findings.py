@@ -76,12 +76,8 @@ def turned_finding(dof: str) -> Finding:
 class DriveResidues:
     """Modes to which no drive point gives a scale.
 
-    Parameters
-    ----------
-    absent_hz : tuple of float
-        No drive point moves in them by more than three standard deviations: as at a node.
-    negative_hz : tuple of float
-        A drive-point residue is below zero by more than that, and no small part of the mode: a negative modal mass.
+    In those of ``absent_hz`` none moves by more than three standard deviations: as at a node. In those of ``negative_hz`` a drive-point
+    residue is below zero by more than that, and no small part of the mode: a negative modal mass.
     """
 
     absent_hz: tuple[float, ...] = ()
@@ -150,14 +146,8 @@ def fit_findings(frf: Frf, band: tuple[float, float], drive: DriveResidues) -> l
 def misfit_findings(misfit: float, free: float = float("nan"), parts: Mapping[str, float] | None = None) -> list[Finding]:
     """That the model does not describe the FRFs to within noise, where it does not: as the fit behind it does, or nothing does.
 
-    Parameters
-    ----------
-    misfit : float
-        Reduced chi-square of the model on lines the fit did not use.
-    free : float
-        That of the fit behind it (:class:`operando.ema.handed_out.Left`); NaN where there is none.
-    parts : dict of float, optional
-        What stands between the two.
+    Both reduced chi-squares are of lines the fit did not use, ``free`` that of the fit behind the model
+    (:class:`operando.ema.handed_out.Left`; NaN where there is none); ``parts`` is what stands between the two.
     """
     said = f"the reduced chi-square of the idle model on lines the fit did not use is {misfit:.3g}"
     if parts and misfit > NOTABLE_MISFIT * max(free, 1.0):

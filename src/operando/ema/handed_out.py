@@ -28,16 +28,9 @@ N_BLOCKS = 18
 class Left:
     """Reduced chi-square, by the measurement variance alone, on lines that the fit did not use.
 
-    Parameters
-    ----------
-    misfit : float
-        Of the model: real shapes of unit modal mass and residual terms.
-    by_row : (M,) array
-        The same by response DOF.
-    free : float
-        Of free complex residues, shifts and tails in each pair.
-    parts : dict of float
-        What the model leaves out of the free fit, as reduced chi-square, by what it does without: "shift", "phase", "shape", "outside".
+    Of the model (real shapes of unit modal mass and residual terms) ``misfit`` and, by response DOF, ``by_row``; of free complex residues,
+    shifts and tails in each pair ``free``. ``parts`` is what the model leaves out of the free fit by what it does without: "shift",
+    "phase", "shape", "outside".
     """
 
     misfit: float

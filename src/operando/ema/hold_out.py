@@ -36,16 +36,9 @@ def heldout_misfit(
 ) -> tuple[float, Real, float]:
     """Refit without the hold-out lines, from the final values, and evaluate it there by the measurement variance alone.
 
-    ``terms`` are the residual terms of the model; ``known`` is the normal matrix of the fit without the hold-out lines, where it is that of
-    these runs.
-
-    Returns
-    -------
-    misfit : float
-        Mean |e|²/var over hold-out lines within the band, responses and runs: of the modes with the residual terms.
-    by_row : (M,) array
-    free : float
-        The same with what lies outside free in each run, as it is fitted.
+    Mean |e|²/var over hold-out lines within the band, responses and runs: of the modes with the residual ``terms`` of the model, the same
+    by row (M,), and with what lies outside free in each run, as it is fitted. ``known`` is the normal matrix of the fit without the
+    hold-out lines, where it is that of these runs.
     """
     masks = hold_out_masks(runs)
     kept = [run.lines(~mask) for run, mask in zip(runs, masks, strict=True)]

@@ -44,23 +44,11 @@ START_SHARE = 0.05
 
 @dataclass(frozen=True)
 class LinearFit:
-    """Modes of given FRFs with free residues in each pair.
+    """Modes of given FRFs with free residues in each pair, on the lines that were used.
 
-    Parameters
-    ----------
-    pairs : Pairs
-        The lines that were used.
-    poles : Poles
-    projection : Projection
-    variance : Variance
-    covariance : (2n, 2n) array
-        Of [ln f, ln ζ], for rating poles: errors of a pair may be correlated over its lines in any way. :func:`stated_covariance` adds
-        what a drift within a pair does.
-    correlation : float
-        ν, lines that count as one.
-    ends_hz : (float, float)
-    second_shapes : tuple of int
-        Poles that stand for the second shape of the one before them, at its frequency (:mod:`operando.ema.close_pairs`).
+    ``covariance`` (2n, 2n) of [ln f, ln ζ] is for rating poles: errors of a pair may be correlated over its lines in any way
+    (:func:`stated_covariance` adds what a drift within a pair does). ``correlation`` is ν, lines that count as one. ``second_shapes`` are
+    poles that stand for the second shape of the one before them, at its frequency (:mod:`operando.ema.close_pairs`).
     """
 
     pairs: Pairs
@@ -179,22 +167,11 @@ def fit_linear(
     before: Variance | None = None,
     hold: Variance | None = None,
 ) -> LinearFit:
-    """Poles and variance in turn: a few steps on the poles, then the variance from what is left.
+    """Poles and variance in turn: a few ``steps`` on the poles, then the variance from what is left, in so many ``rounds``.
 
-    Parameters
-    ----------
-    pairs : Pairs
-    poles : Poles
-        Start, by rising frequency.
-    ends_hz : (float, float)
-    start : (a, b, δ) or Projection, optional
-        From a fit of nearly the same poles; 0 for a mode that is new. A projection is one of these lines and poles.
-    rounds, steps : int
-        Estimates of the variance, and steps on the poles after each.
-    before : Variance, optional
-        Variance of a fit of nearly the same poles, to begin with.
-    hold : Variance, optional
-        Keep this variance (and the spreads of the priors): for comparing costs.
+    Poles are by rising frequency. ``start`` is from a fit of nearly the same poles, 0 for a mode that is new; a projection is one of these
+    lines and poles. ``before`` is the variance of such a fit, to begin with; ``hold`` keeps this variance (and the spreads of the priors):
+    for comparing costs.
     """
     known = hold or before
     first = pairs.noise + START_SHARE**2 * np.abs(pairs.accelerance) ** 2 if known is None else known.total

@@ -43,14 +43,9 @@ def companion_roots(blocks: NDArray[Any]) -> Complex:
 
 
 def roots_near(blocks: NDArray[Any], known: Complex | None) -> Complex:
-    """The same from the roots of nearly the same polynomial of lower order, where there are such; real polynomials by their companion.
+    """The same of blocks α_0 … α_n (n + 1, n_in, n_in) from the roots of nearly the same polynomial of lower order, where there are such.
 
-    Parameters
-    ----------
-    blocks : (n + 1, n_in, n_in) array
-        α_0 … α_n, the first or the last of them the identity.
-    known : (m,) complex array, optional
-        Roots of the order before.
+    The first or the last block is the identity. Real polynomials are solved by their companion.
     """
     count = (blocks.shape[0] - 1) * blocks.shape[1]
     if known is None or not np.iscomplexobj(blocks) or count <= FEW or known.size < count // 2:

@@ -43,16 +43,8 @@ _COMMON_VALUES = 1 << 18
 class Residual:
     """What the model leaves of one run, weighted by the full noise covariance of each line.
 
-    Parameters
-    ----------
-    error, whitened : (m, L) complex arrays
-        e and C⁻¹e.
-    clean_force : (k, L) complex array
-    common : (k, m, L) complex array or None
-        Rows w_k: C⁻¹ = D⁻¹ − Σ_k w_kᴴ w_k; None where the forces hold no noise.
-    variance : (m, L) array
-        Of each response line, the noise of the forces included.
-    cost : float
+    ``error`` and ``whitened`` are e and C⁻¹e (m, L); ``common`` (k, m, L) are rows w_k of C⁻¹ = D⁻¹ − Σ_k w_kᴴ w_k, None where the forces
+    hold no noise; ``variance`` (m, L) is that of each response line, the noise of the forces included.
     """
 
     error: Complex
@@ -67,13 +59,8 @@ class Residual:
 class _Own:
     """How the unknowns of one run alone follow from the gradient and the step of the global parameters.
 
-    Parameters
-    ----------
-    factor : tuple
-        Cholesky factor of their normal matrix, scaled to a unit diagonal.
-    slope : (q, p) array
-        Their scaled change for one unit of each global parameter, with the sense reversed.
-    scale : (q,) array
+    ``factor`` is the Cholesky factor of their normal matrix, scaled to a unit diagonal; ``slope`` (q, p) their scaled change for one unit
+    of each global parameter, with the sense reversed.
     """
 
     factor: tuple[Real, bool]
@@ -83,17 +70,9 @@ class _Own:
 
 @dataclass(frozen=True)
 class Information:
-    """Normal matrix of the global parameters without prior, everything of single runs eliminated, and the way back to it.
+    """Normal matrix of the global parameters without prior, taken ``at`` some, everything of single runs eliminated; the way back to it.
 
-    Parameters
-    ----------
-    at : Parameters
-        Where it was taken.
-    normal : (p, p) array
-    own : tuple of _Own
-        For each run.
-    local : tuple of (m·b, m·b) or (m, b, b) arrays
-        Normal matrix of the local coefficients of each run given the modes, transients eliminated.
+    ``local`` has for each run the normal matrix of the local coefficients given the modes, transients eliminated: (m·b, m·b) or (m, b, b).
     """
 
     at: Parameters
@@ -125,7 +104,6 @@ class Equations:
 
     Parameters
     ----------
-    information : Information
     precision : (p,) array
         Of the prior; infinite for parameters that are held.
     right : (p,) array
@@ -341,13 +319,7 @@ def gradients(runs: Sequence[RunSpectra], theta: Parameters, states: Sequence[Re
 def linearised(
     runs: Sequence[RunSpectra], theta: Parameters, states: Sequence[Residual], apart: Sequence[NDArray[np.bool_]] | None = None
 ) -> tuple[Information, Information | None, list[Real]]:
-    """Normal matrix over all runs, that without some of the lines, and the gradients.
-
-    Parameters
-    ----------
-    apart : sequence of (L,) bool arrays, optional
-        Lines of each run without which the second matrix is; None: there is no second.
-    """
+    """Normal matrix over all runs, that without the lines ``apart`` (None: there is no second), and the gradients."""
     whole, others, slopes = _Sum(theta), None if apart is None else _Sum(theta), []
     for i, (run, state) in enumerate(zip(runs, states, strict=True)):
         stack = jacobian_functions(run, theta, i, state.clean_force)

@@ -158,32 +158,11 @@ def search_order(
     progress: Callable[[str], None] | None = None,
     unseen: Callable[[Sequence[float]], Sequence[float]] | None = None,
 ) -> tuple[Polished, OrderLog]:
-    """Refine the candidate poles and settle the number of modes.
+    """Refine the candidate poles (n,) and settle the number of modes, on thinned lines, without covariance: a start for the final fit.
 
-    Parameters
-    ----------
-    runs : sequence of RunSpectra
-    n_dofs : int
-        DOFs of the model.
-    hz, zeta : (n,) arrays
-        Candidate poles.
-    lower : bool
-        Whether a pseudo-mode below the band is needed (rigid-body or suspension modes).
-    first : Polished, optional
-        Fit of these poles where it is known (of :func:`complete_start`).
-    unseen : callable, optional
-        Which of these frequencies [Hz] are not to be added, however much they lower the cost.
-
-    Returns
-    -------
-    Polished
-        On thinned lines, without covariance: a start for the final fit.
-    OrderLog
-
-    Raises
-    ------
-    UnseenModesError
-        If such a mode improves the model.
+    ``lower`` says whether a pseudo-mode below the band is needed (rigid-body or suspension modes); ``first`` is the fit of these poles
+    where it is known (of :func:`complete_start`). ``unseen`` says which of some frequencies [Hz] are not to be added, however much they
+    lower the cost: where such a mode improves the model, :class:`UnseenModesError` is raised.
     """
     log = OrderLog() if log is None else log
     order = np.argsort(hz)

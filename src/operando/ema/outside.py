@@ -98,13 +98,10 @@ def outside_modes(
     gone: NDArray[np.int_] | None = None,
     local_terms: bool = True,
 ) -> OutsideModes:
-    """Residual modes of all DOFs from the out-of-band part of the driven columns.
+    """Residual modes of all DOFs from the out-of-band part of the driven columns, which the local coefficients of ``fit`` hold.
 
     Parameters
     ----------
-    runs : sequence of RunSpectra
-    fit : Polished
-        Its local coefficients hold the driven part.
     band : (float, float)
         Hz, where the residual modes must hold.
     lower : bool

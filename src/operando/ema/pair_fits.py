@@ -34,16 +34,7 @@ Four = tuple[Real, Real, Real, Real]
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns over the lines: g, h, tails, r, q one below the other, (4n + t, L).
-
-    Parameters
-    ----------
-    rows : (4n + t, L) complex array
-    zeta, w0 : (n,) arrays
-        Damping ratios, and ω₀ [rad/s].
-    s : (L,) complex array
-        iω + β of the lines.
-    """
+    """Columns over the lines: g, h, tails, r, q one below the other, (4n + t, L); ω₀ [rad/s] of the modes and s = iω + β of the lines."""
 
     rows: Complex
     zeta: Real
@@ -161,16 +152,8 @@ def fit_pairs(
 ) -> Iterator[PairFits]:
     """Residues, quadrature parts, shifts and tails of each pair, and what they say of the poles; some pairs at a time.
 
-    Parameters
-    ----------
-    data, variance : (P, L) arrays
-    c : Columns
-    spreads : (most (P, n), quadrature (n,), drift (n,))
-        Of the priors.
-    before : Before, optional
-        What the columns of the shifts are made with; without it there are no shifts, and b has no prior.
-    with_slopes : bool
-        Whether normal equations and slopes by the poles are wanted; zeros without.
+    ``spreads`` are those of the priors: most (P, n), quadrature (n,), drift (n,). ``before`` is what the columns of the shifts are made
+    with; without it there are no shifts, and b has no prior. Normal equations and slopes by the poles are zeros unless wanted.
     """
     most, quadrature, drift = spreads
     weight = 1 / variance

@@ -22,16 +22,12 @@ NOISE_FLOOR = 1e-8
 
 @dataclass(frozen=True)
 class Pairs:
-    """Measured accelerances, one row a pair.
+    """Measured accelerances in the senses of the model's DOFs, one row a pair.
 
     Parameters
     ----------
-    frequencies_hz : (L,) array
-    accelerance : (P, L) complex array
-        In the senses of the model's DOFs.
     noise : (P, L) array
         Shape over frequency of the variance E|ΔH|² of the measurement; its size is fitted where ``noise_known`` is false.
-    noise_known : bool
     rows, columns : (P,) int arrays
         DOF of the model of the response and of the reference.
     grid : (P, 2) int array
@@ -85,11 +81,6 @@ def frf_pairs(frf: Frf, dofs: tuple[Dof, ...], band: tuple[float, float]) -> Pai
     """The measured pairs of an FRF matrix on the lines within ``band`` [Hz].
 
     Pairs without a finite value or without any response are left out; so are lines on which a pair left over has none.
-
-    Raises
-    ------
-    IdentificationError
-        If fewer than eight lines or no pair is left.
     """
     part = frf.to_quantity("accelerance").band(*band)
     f = part.frequencies_hz
@@ -162,11 +153,6 @@ def with_values(frf: Frf) -> tuple[Frf, tuple[Finding, ...]]:
 
     What is infinite is no number: it becomes NaN. Lines of which some pair that is measured at others holds no number are left out of
     that pair by the fits; a finding says so.
-
-    Raises
-    ------
-    DataError
-        If none is left, or all are zero.
     """
     finite = np.isfinite(frf.data)
     if not finite.any():

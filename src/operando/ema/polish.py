@@ -42,22 +42,9 @@ Outside = tuple[Real, Real, Real, NDArray[np.int_]]
 class Polished:
     """Result of :func:`polish`.
 
-    Parameters
-    ----------
-    parameters : Parameters
-    covariance : (p, p) array
-        Of [ln f, ln ζ, shapes mode by mode].
-    local_estimates : tuple of (coefficients (m·b,), information (m·b, m·b) or (m, b, b))
-        For each run the local coefficients response by response and their information given the modes, transients eliminated; response
-        by response where nothing joins them.
-    cost : float
-        Σ eᴴC⁻¹e over runs and lines.
-    n_data : int
-        Complex data.
-    iterations : int
-    converged : bool
-    without : Information or None
-        Normal matrix without the lines named as ``apart``.
+    ``covariance`` is that of [ln f, ln ζ, shapes mode by mode]; ``local_estimates`` are for each run the local coefficients response by
+    response (m·b,) and their information given the modes, transients eliminated: (m·b, m·b), or (m, b, b) where nothing joins the
+    responses. ``cost`` is Σ eᴴC⁻¹e over runs and lines; ``without`` the normal matrix without the lines named as ``apart``.
     """
 
     parameters: Parameters
@@ -121,8 +108,6 @@ def polish(
     ----------
     runs : sequence of RunSpectra
         Spectra with noise variances; senses as in the model (:func:`signed`).
-    start : Parameters
-        Starting values.
     shape_std : (M, n) array, optional
         Standard deviation of a Gaussian prior of the shapes; wide, it only holds what the data do not see.
     hold_poles : bool or (n,) bool array
@@ -132,20 +117,12 @@ def polish(
     tolerance : float
         Stop when the fall of the cost is below this. The cost has unit variance per datum: 0.05 moves every estimate
         by less than about a third of its standard deviation.
-    progress : callable, optional
-        Told one line an iteration.
-    want_covariance : bool
     needed_cost : float
         The fit is of no use above this cost: it ends where the steps that are left do not reach it at the pace of the last one.
     known : Information, optional
         Normal matrix of these lines near the start, which serves for the first step.
     apart : sequence of (L,) bool arrays, optional
         Lines of each run without which the normal matrix is wanted too.
-
-    Raises
-    ------
-    IdentificationError
-        If the normal equations stay singular.
     """
     theta = start
     m_dofs, n = theta.shapes.shape

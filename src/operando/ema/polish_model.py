@@ -33,18 +33,10 @@ KEPT = 2
 class Parameters:
     """Unknowns of the fit.
 
-    Parameters
-    ----------
-    hz, zeta : (n,) arrays
-        Poles.
-    shapes : (M, n) array
-        Real shapes of unit modal mass.
-    outside_hz, outside_zeta : (q,) arrays
-        Poles of the fixed kernels that stand for modes outside the band.
-    transients : tuple of (2, n) arrays
-        Amplitudes of T_r for each run (empty for FRF columns).
-    local : tuple of (m, b) arrays
-        Coefficients of p_j for each run: outside kernels for each force (q·k), then the polynomial (3, where there is a transient).
+    ``hz`` and ``zeta`` (n,) are poles, ``shapes`` (M, n) real shapes of unit modal mass, ``outside_hz`` and ``outside_zeta`` (q,) the poles
+    of the fixed kernels that stand for modes outside the band. For each run ``transients`` are amplitudes of T_r (2, n) (empty for FRF
+    columns), and ``local`` coefficients of p_j (m, b): outside kernels for each force (q·k), then the polynomial (3, where there is a
+    transient).
     """
 
     hz: Real
@@ -98,12 +90,9 @@ class RunModel:
 
 
 def decays(f: Real, hz: Real, zeta: Real, step: float) -> tuple[Complex, ...]:
-    """Transforms of sampled free decays (real and imaginary amplitude) and derivatives by ln f_r and ln ζ_r.
+    """Transforms of sampled free decays and derivatives by ln f_r and ln ζ_r: t1, t2, dt1_f, dt2_f, dt1_z, dt2_z, each (n, L).
 
-    Returns
-    -------
-    t1, t2, dt1_f, dt2_f, dt1_z, dt2_z : (n, L) complex arrays
-        T = a·t1 + b·t2 for an amplitude a + ib.
+    T = a·t1 + b·t2 for an amplitude a + ib.
     """
     z1 = np.exp(-2j * np.pi * f * step)
     w0 = 2 * np.pi * hz
@@ -155,17 +144,7 @@ def _line_functions(run: RunSpectra, theta: Parameters) -> LineFunctions:
 
 
 def run_model(run: RunSpectra, theta: Parameters, index: int, forces: Complex) -> RunModel:
-    """Modal accelerations and local functions of one run.
-
-    Parameters
-    ----------
-    run : RunSpectra
-    theta : Parameters
-    index : int
-        Number of the run.
-    forces : (k, L) complex array
-        Forces to use (measured, or cleaned of their noise by the model).
-    """
+    """Modal accelerations and local functions of run ``index`` under forces (k, L), measured or cleaned of their noise by the model."""
     known = theta.functions(run)
     g = known.kernels[0]
     modal = g * combined(theta.shapes[run.force_rows].T, forces)
@@ -191,13 +170,9 @@ def jacobian_functions(run: RunSpectra, theta: Parameters, index: int, forces: C
 
 
 def parameter_map(run: RunSpectra, theta: Parameters, offset: int) -> tuple[NDArray[np.int_], Real]:
-    """Which parameter each basis row belongs to, and with which factor, for each response.
+    """Which parameter each basis row belongs to, and with which factor, for each response, (m, K).
 
-    Returns
-    -------
-    index : (m, K) int array
-        Position in the parameter vector [ln f (n), ln ζ (n), shapes mode by mode, …, nuisance of this run from ``offset``].
-    factor : (m, K) array
+    Positions are in the parameter vector [ln f (n), ln ζ (n), shapes mode by mode, …, nuisance of this run from ``offset``].
     """
     m_dofs, n = theta.shapes.shape
     m = run.response_rows.size

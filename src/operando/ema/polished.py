@@ -47,20 +47,9 @@ three real products with their sums and the kernels (start.mode_gain)."""
 class PolishedAnswer:
     """What the maximum-likelihood fit says.
 
-    Parameters
-    ----------
-    fit : Polished
-    outside : OutsideModes
-    misfit : float
-        Of modes and residual terms, on lines the fit did not use.
-    misfit_by_row : (M,) array
-    free_misfit : float
-        The same with what lies outside free in each run.
-    log : OrderLog
-    turned : tuple of int
-        DOFs whose force was reversed in polarity: opposite sense of force and accelerometer.
-    lower : bool
-        Whether kernels below the band were needed.
+    ``misfit`` is that of modes and residual terms on lines the fit did not use, ``free_misfit`` the same with what lies outside free in
+    each run. ``turned`` are DOFs whose force was reversed in polarity: opposite sense of force and accelerometer; ``lower`` says whether
+    kernels below the band were needed.
     """
 
     fit: Polished

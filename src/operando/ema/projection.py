@@ -84,8 +84,6 @@ class Projection:
         δ·a and δ·b (a, b of the round before): what ∂g/∂ln f and ∂h/∂ln f are multiplied by.
     curvature : (P, L) complex array
         What shifts add beyond their first order.
-    tails : (P, t) array
-    error : (P, L) complex array
     normal : (2n, 2n) array
         Gauss–Newton matrix of (ln f, ln ζ) with everything else eliminated.
     gradient : (P, 2n) array
@@ -171,16 +169,7 @@ Not those of two poles within one half bandwidth: what is a shift of one is a re
 def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: float, least: float) -> Complex:
     """What the shifts of modes between pairs add beyond their first order, (P, L): a [g(f_r(1 + δ)) − g(f_r) − δ ∂g/∂ln f_r], and b's.
 
-    Parameters
-    ----------
-    f : (L,) array
-        Lines [Hz].
-    poles : Poles
-    coefficients : (a, b, δ)
-    rate : float
-        Of the exponential window [1/s].
-    least : float
-        Modes are left out whose rms shift over ζ, squared, is below this, and lines so far off that it is a quarter of it there.
+    Modes are left out whose rms shift over ζ, squared, is below ``least``, and lines so far off that it is a quarter of it there.
     """
     a, b, shift = coefficients
     out = np.zeros((a.shape[0], f.size), complex)
@@ -212,22 +201,10 @@ def project(
 ) -> Projection:
     """Linear fit of all pairs at given poles, and the normal equations of the poles.
 
-    Parameters
-    ----------
-    pairs : Pairs
-    poles : Poles
-    variance : (P, L) array
-        Of each line.
-    previous : (a, b, δ), optional
-        Of the round before: they size the priors and make the columns of the shifts. Without them b is free and δ left out.
-    ends_hz : (float, float)
-        Bottom and top of the lines, where the tails begin.
-    least : float
-        Shift over ζ, squared, from which on shifts enter in full: what they add beyond the first order, as of the round before.
-    most : (P, n) array, optional
-        Spread of the prior on a; default: :func:`largest` at these poles.
-    with_slopes : bool
-        False leaves out what the poles are searched by: the normal matrix, the gradient and the slopes are 0 then.
+    ``previous`` (a, b, δ) of the round before size the priors and make the columns of the shifts; without them b is free and δ left out.
+    From a shift over ζ, squared, of ``least`` on shifts enter in full: what they add beyond the first order, as of the round before.
+    ``most`` (P, n) is the spread of the prior on a (:func:`largest` at these poles where not given). Without slopes the normal matrix, the
+    gradient and the slopes, by which the poles are searched, are 0.
     """
     columns = _columns(pairs, poles, ends_hz)
     before = None
@@ -294,14 +271,8 @@ def search_poles(
 ) -> tuple[Poles, Projection, float, Callable[[], Projection]]:
     """A few Levenberg steps on the poles under a given variance.
 
-    Returns
-    -------
-    poles, projection
-        The best found; without the normal equations where no further step was foreseen.
-    float
-        Fall of the cost.
-    callable
-        Gives the projection with them.
+    Returns the best poles and their projection (without the normal equations where no further step was foreseen), the fall of the cost, and
+    a function that gives the projection with them.
     """
     n = poles.hz.size
     most = largest(pairs, poles)  # as it is here: a prior that moved with the poles would be no part of their gradient

@@ -38,12 +38,7 @@ def rank_share(fit: LinearFit, k: int) -> float:
 def best_shape(residues: Complex, weights: Real, rounds: int = 60) -> tuple[float, Complex, Complex]:
     """The rank-one matrix that explains most of the residues, by alternating least squares.
 
-    Returns
-    -------
-    float
-        Weighted part that it explains.
-    (n_rows,), (n_columns,) complex arrays
-        Shapes over responses and references; their product is the matrix.
+    Returns the weighted part that it explains, and the shapes over responses and references whose product it is.
     """
     right: Complex = np.linalg.svd(residues * np.sqrt(weights.mean(axis=1))[:, None], full_matrices=False)[2][0]
     left = np.zeros(residues.shape[0], complex)

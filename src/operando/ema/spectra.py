@@ -23,25 +23,18 @@ class RunSpectra:
 
     Parameters
     ----------
-    frequencies_hz : (L,) array
-        Lines of the discrete Fourier transform of the whole record.
     responses : (m, L) complex array
         Accelerations, or the accelerance column itself where only FRFs are given.
     forces : (k, L) complex array
         Forces; ones for FRF columns.
-    response_rows : (m,) int array
-        Row of each response in the DOF list of the model.
-    response_signs : (m,) float array
-        Sense of each response against that DOF.
+    response_rows, response_signs : (m,) arrays
+        Row of each response in the DOF list of the model, and its sense against that DOF.
     force_rows, force_signs : (k,) arrays
         The same for the forces.
-    response_variance : (m, L) array
-        E|noise|² of each response line.
-    force_variance : (k, L) array
-        E|noise|² of each force line; 0 for FRF columns.
+    response_variance, force_variance : (m, L), (k, L) arrays
+        E|noise|² of each line; 0 for the force of FRF columns.
     step_s : float or None
         Sampling interval; None where there is no transient to model (FRF columns).
-    name : str
     top_hz : float
         Last line of the fitted band [Hz]; kept when lines are taken out.
     window_rate : float
@@ -78,13 +71,7 @@ class RunSpectra:
         )
 
     def band(self, low: float, high: float) -> RunSpectra:
-        """The same run on the lines within [low, high] Hz.
-
-        Raises
-        ------
-        IdentificationError
-            If there is no line.
-        """
+        """The same run on the lines within [low, high] Hz."""
         inside = (self.frequencies_hz >= low) & (self.frequencies_hz <= high)
         if not inside.any():
             ends = f"{self.frequencies_hz[0]:g}-{self.frequencies_hz[-1]:g} Hz" if inside.size else "no line at all"
@@ -103,21 +90,9 @@ class RunSpectra:
 
 
 def record_spectra(record: TimeRecord, dofs: Sequence[Dof], band: tuple[float, float]) -> RunSpectra:
-    """Full-record spectra of one run with measured force, noise estimated from the record.
+    """Full-record spectra on the lines of a band [Hz] of one run with measured force, noise estimated from the record.
 
-    Parameters
-    ----------
-    record : TimeRecord
-        Forces and accelerations (velocity and displacement channels are brought to acceleration by powers of iω).
-    dofs : sequence of Dof
-        DOFs of the model; every response and force must be among them.
-    band : (float, float)
-        Lines kept [Hz].
-
-    Raises
-    ------
-    DataError
-        If there is no force or no response channel.
+    Velocity and displacement channels are brought to acceleration by powers of iω. All DOFs must be among those of the model.
     """
     force_index, response_index = record.force_indices, record.response_indices
     if not force_index:
@@ -181,13 +156,7 @@ def whole_records(records: Sequence[TimeRecord] | None) -> list[TimeRecord] | No
 
 
 def excited_fit_band(records: Sequence[TimeRecord], band: tuple[float, float], wider: float) -> tuple[float, float]:
-    """Lines to fit [Hz]: a little more than the analysis band, and no further than all forces have power.
-
-    Raises
-    ------
-    IdentificationError
-        If there is no such band.
-    """
+    """Lines to fit [Hz]: a little more than the analysis band, and no further than all forces have power."""
     limits = [excited_limits(record, band) for record in records]
     low, high = max(low for low, _ in limits), min(high for _, high in limits)
     fit_band = (max(0.6 * band[0], low), float(max(min(wider * band[1], 0.97 * high), min(band[1], high))))
@@ -261,11 +230,6 @@ def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> lis
 
     With more references than responses (a roving hammer) the rows stand for them: by reciprocity the sensor that stays is what was driven,
     and few runs of many responses need a fraction of the work of many runs of few.
-
-    Raises
-    ------
-    IdentificationError
-        If the band holds fewer than eight lines.
     """
     part = frf.to_quantity("accelerance").band(*band)
     f = part.frequencies_hz
@@ -329,24 +293,12 @@ def local_variance(x: NDArray[np.complex128], half_width: int = 4) -> NDArray[np
 def noise_from_spectra(
     f: NDArray[np.float64], x: NDArray[np.complex128], forces: NDArray[np.complex128], width: int = 40, degree: int = 7, n_bands: int = 8
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Response and force noise without a modal model, from local polynomial residuals.
+    """Response (m, L) and force (k, L) noise without a modal model, from local polynomial residuals.
 
     In blocks of ``width`` lines each response is regressed on F·δ^p and δ^p (p ≤ ``degree``: FRF and transient, locally smooth); the
     covariance of what remains is diag(σ_x²) + Σ_k σ_f,k² h_k h_kᴴ, the second part common to all responses and visible
-    where the FRF is large. Both are fitted by moments over the blocks that the polynomials describe.
-
-    Parameters
-    ----------
-    f : (L,) array
-    x : (m, L) complex array
-    forces : (k, L) complex array
-
-    Returns
-    -------
-    response_variance : (m, L) array
-        Piecewise constant over ``n_bands`` bands of equal width.
-    force_variance : (k, L) array
-        Constant over the lines.
+    where the FRF is large. Both are fitted by moments over the blocks that the polynomials describe. The first is piecewise constant over
+    ``n_bands`` bands of equal width, the second constant.
     """
     m, n_lines = x.shape
     k = forces.shape[0]

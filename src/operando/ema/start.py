@@ -44,13 +44,7 @@ def outside_kernels(runs: Sequence[RunSpectra], hz: Real, lower: bool) -> tuple[
 
 
 def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside: tuple[Real, Real]) -> list[Real]:
-    """Real residues R_jr = φ_jr φ_kr of each run and force by weighted least squares, transients and local terms beside them.
-
-    Returns
-    -------
-    list of (k, m, n) arrays
-        One a run: residues for each of its forces.
-    """
+    """Real residues R_jr = φ_jr φ_kr (k, m, n) of each run by weighted least squares, transients and local terms beside them."""
     out = []
     n = hz.size
     for run in runs:
@@ -77,11 +71,8 @@ def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside: t
 def inverted_forces(runs: Sequence[RunSpectra], residues: Sequence[Real]) -> list[tuple[int, int]]:
     """Runs and forces whose drive-point residues are mostly negative: modal masses would be, too.
 
-    Returns
-    -------
-    list of (run, force)
-        Where Σ R|R| over the modes is below −0.5 Σ R². The sense of the force or that of the accelerometer at its DOF is wrong; one
-        reference alone cannot say which, and turning the force makes all columns consistent in both cases.
+    That is where Σ R|R| over the modes is below −0.5 Σ R². The sense of the force or that of the accelerometer at its DOF is wrong; one
+    reference alone cannot say which, and turning the force makes all columns consistent in both cases.
     """
     out = []
     for i, (run, residue) in enumerate(zip(runs, residues, strict=True)):
@@ -104,14 +95,7 @@ def _ridge(design: Real, target: Real) -> Real:
 
 
 def rank_one(runs: Sequence[RunSpectra], residues: Sequence[Real], n_dofs: int) -> tuple[Real, NDArray[np.bool_]]:
-    """Shapes of unit modal mass from the residues of all references.
-
-    Returns
-    -------
-    shapes : (M, n) array
-    seen : (n,) bool array
-        Whether a drive point with a residue of the right sign gives the scale.
-    """
+    """Shapes (M, n) of unit modal mass from the residues of all references; whether a drive point of the right sign scales each."""
     n = residues[0].shape[2]
     shapes = np.zeros((n_dofs, n))
     seen = np.zeros(n, bool)

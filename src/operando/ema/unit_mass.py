@@ -30,16 +30,8 @@ NEGATIVE_SHARE = 0.5
 class ModalCovariance:
     """Covariance of [f (Hz), ζ, shapes mode by mode], n·(2 + M) values: what the poles carry, and what residues add by themselves.
 
-    The matrix itself is a hundred times as large where there are many places, so it is made where it is kept.
-
-    Parameters
-    ----------
-    carry : (n·(2 + M), 2n) array
-        Derivatives by [ln f, ln ζ].
-    poles : (2n, 2n) array
-        Covariance of [ln f, ln ζ].
-    own : (n, M, M) array
-        Of each shape at known poles.
+    The matrix itself is a hundred times as large where there are many places, so it is made where it is kept. ``carry`` (n·(2 + M), 2n) are
+    derivatives by [ln f, ln ζ], ``poles`` the covariance of these, ``own`` (n, M, M) that of each shape at known poles.
     """
 
     carry: Real
@@ -72,16 +64,10 @@ class ModalCovariance:
 
 @dataclass(frozen=True)
 class UnitMassShapes:
-    """Shapes with R_jk ≈ φ_j φ_k.
+    """Shapes (M, n) with R_jk ≈ φ_j φ_k.
 
-    Parameters
-    ----------
-    shapes : (M, n) array
-    scaled : (n,) bool array
-        Whether a drive point gives the mode its scale; where none does the shape keeps an arbitrary one.
-    drive : tuple of (pair, t (n,) array)
-        Residue over standard deviation of each drive point: positive, absent (|t| < 3) or negative.
-    covariance : ModalCovariance
+    ``scaled`` says whether a drive point gives the mode its scale; where none does the shape keeps an arbitrary one. ``drive`` has for each
+    drive-point pair its residue over standard deviation (n,): positive, absent (|t| < 3) or negative.
     """
 
     shapes: Real
@@ -126,12 +112,7 @@ def in_phase(fit: LinearFit) -> Complex:
 def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     """Shapes by robust weighted least squares of R_jk = φ_j φ_k, with the uncertainty of residues and poles.
 
-    Parameters
-    ----------
-    fit : LinearFit
-        Of pairs that all have the right sense (:func:`turned_dofs`).
-    n_dofs : int
-        DOFs of the model.
+    All pairs of the fit have the right sense (:func:`turned_dofs`).
     """
     n = fit.n_modes
     rows, columns = fit.pairs.rows, fit.pairs.columns

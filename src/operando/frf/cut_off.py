@@ -41,32 +41,15 @@ def cut_off_modes(
     block: int,
     sampling_hz: float,
 ) -> list[CutOff]:
-    """The modes whose decays blocks at hits cut off, and which ring into them from the hits before.
+    """The modes whose decays blocks at hits cut off, and which ring into them from the hits before, by frequency.
 
     Of a mode with the pole p = exp(λΔt), whose motion is y[n] = p·y[n−1] + f[n], a block of N samples from s holds
 
         Y(z) (1 − p/z) = F(z) + p·(y[s−1] − y[s+N−1])        at the lines of the block, where z^N = 1:
 
     the error has the pole of the mode itself, and the force alone tells how large it is against the response. Poles and residues are fitted
-    to the lines around each peak, all responses together.
-
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-        Lines of the blocks [Hz].
-    h, variance : (n_responses, n_lines) arrays
-        FRFs averaged over the blocks (H1), and their variance.
-    force : (n_samples,) array
-        The whole record, without offset: hits that are not used ring on as well.
-    starts : array of int
-        First sample of each block.
-    block : int
-        Samples a block.
-
-    Returns
-    -------
-    list of CutOff
-        By frequency; empty where every peak has decayed.
+    to the lines around each peak, all responses together. ``h`` and ``variance`` (n_responses, n_lines) are averaged over the blocks (H1);
+    ``force`` is that of the whole record, without offset: hits that are not used ring on as well.
     """
     from scipy.signal import lfilter
 

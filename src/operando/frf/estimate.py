@@ -200,11 +200,6 @@ def _periodic(cut: Sequence[_Cut], band: tuple[float, float] | None, window_line
     """Estimates on the excited lines of the runs whose forces repeat, the others by local rational models at those lines.
 
     None where no run is periodic, or one can be estimated in neither way.
-
-    Raises
-    ------
-    DataError
-        If it was asked for and a run is not periodic.
     """
     found = periodic_runs([run for run, _, _ in cut])
     done = {i for places, _ in found for i in places}
@@ -241,13 +236,7 @@ def _finished(frf: Frf, findings: Sequence[Finding]) -> Frf:
 
 
 def _survivors(make: Callable[[T], S], items: Sequence[T], name: Callable[[T], str], lost: list[Finding]) -> list[tuple[T, S]]:
-    """What can be made of each item; one that cannot be used becomes a finding and does not spoil the others.
-
-    Raises
-    ------
-    DataError
-        If nothing is left: the first reason.
-    """
+    """What can be made of each item; one that cannot be used becomes a finding and does not spoil the others."""
     out: list[tuple[T, S]] = []
     first: DataError | None = None
     for item in items:

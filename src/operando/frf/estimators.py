@@ -16,18 +16,7 @@ Array = NDArray[Any]
 
 
 def inverse_force_matrix(force: Array) -> tuple[Array, Array]:
-    """Inverse of Gff at each line and its condition number after scaling to unit auto spectra.
-
-    Parameters
-    ----------
-    force : (n_forces, n_forces, n_lines) complex array
-
-    Returns
-    -------
-    inverse : (n_forces, n_forces, n_lines) array
-        NaN where a force is absent.
-    condition : (n_lines,) array
-    """
+    """Inverse of Gff (n_forces, n_forces, n_lines), NaN where a force is absent; its condition number once scaled to unit auto spectra."""
     g = np.moveaxis(force, -1, 0)
     auto = np.sqrt(np.maximum(np.real(np.einsum("lii->li", g)), 0))
     safe = np.where(auto > 0, auto, np.nan)
@@ -52,14 +41,9 @@ def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array
     least squares on signals scaled to equal auto spectra (Rocklin, Crowley & Vold 1985), which for one force is
     the geometric mean of H1 and H2.
 
-    Parameters
-    ----------
-    estimator : {"h1", "h2", "hv"}
-
     Returns
     -------
-    h : (n_responses, n_forces, n_lines) complex array
-    variance : (n_responses, n_forces, n_lines) array
+    h, variance : (n_responses, n_forces, n_lines) arrays
         E|ΔH|² = Gxx(1−γ²)[Gff⁻¹]_jj/(n_eff − n_forces): the specification's |H|²(1−γ²)/(γ²·n_eff) for one force, with the noise estimated
         without bias (the sample coherence takes n_forces of the averages). NaN where n_eff ≤ n_forces.
     coherence : (n_responses, n_lines) array
@@ -68,11 +52,6 @@ def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array
         Condition number of the scaled force matrix.
     inverse : (n_forces, n_lines) array
         Diagonal of Gff⁻¹, NaN where a force is absent.
-
-    Raises
-    ------
-    DataError
-        If the estimator is unknown, or H2 is asked for with several forces at once.
     """
     if estimator not in ESTIMATORS:
         raise DataError(f"estimator {estimator!r} is none of {', '.join(ESTIMATORS)}, lrm")

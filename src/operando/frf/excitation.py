@@ -251,13 +251,7 @@ def _distortion_finding(run: RunInput, found: PeriodicFrf) -> list[Finding]:
 
 
 def on_common_lines(estimates: Sequence[RunEstimate]) -> list[RunEstimate]:
-    """Estimates on the lines of all references: those of one reference joined, NaN where a run does not excite; references intersected.
-
-    Raises
-    ------
-    DataError
-        If fewer than half of the lines of the reference with the fewest are common to all.
-    """
+    """Estimates on the lines of all references: those of one reference joined, NaN where a run does not excite; references intersected."""
     axes: list[Array] = []
     groups = by_references(estimates)
     spacing = min(float(np.min(np.diff(e.frequencies_hz))) for e in estimates)
@@ -317,13 +311,7 @@ def _medians(values: Array, width: int) -> Array:
 
 
 def within_excited(estimates: Sequence[RunEstimate]) -> tuple[list[RunEstimate], list[Finding]]:
-    """The estimates without the lines at either end that no run of some reference excites; a finding where lines are left out.
-
-    Raises
-    ------
-    DataError
-        If the estimates lie on different lines.
-    """
+    """The estimates without the lines at either end that no run of some reference excites; a finding where lines are left out."""
     axis = estimates[0].frequencies_hz
     for run in estimates:
         if run.frequencies_hz.shape != axis.shape or not np.allclose(run.frequencies_hz, axis):

@@ -289,21 +289,8 @@ def _flat_top(f: Array, peak: int, noise: float) -> int:
 def hit_blocks(hits: Hits, n_samples: int, block_seconds: float | None = None) -> tuple[Hits, NDArray[np.intp], int, int]:
     """Blocks of equal length, from shortly before each used hit to shortly before the next pulse.
 
-    Parameters
-    ----------
-    n_samples : int
-        Length of the record.
-    block_seconds : float, optional
-        Upper limit of the block.
-
-    Returns
-    -------
-    hits : Hits
-        With ``truncated`` hits marked.
-    starts : array of int
-        First sample of the block of each hit still used.
-    block, pre_trigger : int
-        Samples.
+    Returns the hits with those marked that are ``truncated``, the first sample of the block of each hit still used, the samples of a block
+    and those before the hit.
     """
     limit = n_samples if block_seconds is None else max(LEAST_BLOCK, round(block_seconds * hits.sampling_hz))
     edges = np.append(hits.indices, n_samples)
@@ -338,25 +325,7 @@ def hit_begins(hits: Hits) -> NDArray[np.intp]:
 
 
 def rejected_numbers(names: Sequence[str], counts: Sequence[int], hits_reject: Iterable[str]) -> list[tuple[int, ...]]:
-    """Which hits of each record are named by ``FILE#NUMBER``; hits count from 0 through all records of one name.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Name of each record.
-    counts : sequence of int
-        Hits of each.
-
-    Returns
-    -------
-    list of tuple of int
-        Numbers within each record.
-
-    Raises
-    ------
-    DataError
-        If a name or a number is not there; the nearest is named.
-    """
+    """Which hits of each record are named by ``FILE#NUMBER``, as numbers within it; hits count from 0 through all records of one name."""
     totals: dict[str, int] = {}
     firsts = []
     for name, count in zip(names, counts, strict=True):

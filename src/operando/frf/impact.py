@@ -27,22 +27,10 @@ INCONSISTENT = 0.05
 
 @dataclass(frozen=True)
 class ImpactBlocks:
-    """Blocks of a hammer record.
+    """Blocks of a hammer record: hits with the reasons of all that are not used, and the first sample of each block used.
 
-    Parameters
-    ----------
-    hits : Hits
-        With the reasons of all that are not used.
-    starts : array of int
-        First sample of each used block.
-    block, pre_trigger : int
-        Samples.
-    remaining : float
-        Largest share of its amplitude that a line keeps at the end of a block.
-    remaining_hz : float
-        The line.
-    cut : int
-        Hits used although their force is cut at a level, for there are no others.
+    ``remaining`` is the largest share of its amplitude that a line keeps at the end of a block, ``remaining_hz`` that line; ``cut`` counts
+    hits used although their force is cut at a level, for there are no others.
     """
 
     hits: Hits
@@ -92,13 +80,7 @@ def impact_blocks(
     select: bool = True,
     rejected: Sequence[int] = (),
 ) -> ImpactBlocks:
-    """Find the hits of a record, choose the consistent ones and cut blocks; those rejected by hand are never used.
-
-    Raises
-    ------
-    DataError
-        If no hit is usable.
-    """
+    """Find the hits of a record, choose the consistent ones and cut blocks; those rejected by hand are never used."""
     hits = find_hits(np.asarray(record.data[force], float), record.sampling_hz)
     if not select:
         for i, reason in enumerate(hits.reasons):
@@ -173,11 +155,6 @@ def impact_windows(
     ``force`` keeps the pulse and tapers to zero after it; ``exponential`` multiplies force and response by e^{−βt}, which falls
     to ``end`` over the block: x = h∗f becomes e^{−βt}x = (e^{−βt}h)∗(e^{−βt}f): each pole moves by −β exactly and nothing else
     changes.
-
-    Raises
-    ------
-    DataError
-        If the name is unknown or ``end`` is not in (0, 1).
     """
     if name not in IMPACT_WINDOWS:
         raise DataError(f"window {name!r} is none of {', '.join(IMPACT_WINDOWS)} for hits")

@@ -22,16 +22,7 @@ LONGEST_BAD = 0.125
 class RunInput:
     """Rows of a record that enter the estimate.
 
-    Parameters
-    ----------
-    forces, responses : tuple of int
-        Rows.
-    quantity : str
-        FRF quantity.
-    bad : tuple of (first, last)
-        Sample spans with overload or dropout, from the findings of the record.
-    findings : tuple of Finding
-        What was left out and why.
+    ``bad`` are sample spans (first, last) with overload or dropout, ``findings`` what was left out and why.
     """
 
     record: TimeRecord
@@ -76,13 +67,7 @@ def _dofs(record: TimeRecord, rows: Sequence[int]) -> tuple[Dof, ...]:
 
 
 def run_input(record: TimeRecord) -> RunInput:
-    """Sort out the channels of a record.
-
-    Raises
-    ------
-    DataError
-        If there is no force or no response with a DOF that carries a signal.
-    """
+    """Sort out the channels of a record."""
     where = record.name or None
     findings: list[Finding] = []
     forces = _unique(record, [i for i, c in enumerate(record.channels) if c.is_force], "force", findings)

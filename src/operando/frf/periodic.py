@@ -130,11 +130,6 @@ def period_of(force: Array) -> int:
     """Samples after which a force repeats itself; silence before and after it is passed over.
 
     Of a force longer than ``LONGEST`` the part in the middle is looked at.
-
-    Raises
-    ------
-    DataError
-        If it does not within half the record.
     """
     first, last = _loud_span(np.asarray(force))
     if last - first > LONGEST:
@@ -170,13 +165,7 @@ def _loud_span(force: Array) -> tuple[int, int]:
 
 
 def excited_lines(amplitude: Array) -> NDArray[np.bool_]:
-    """Lines of a period at which a periodic force has power.
-
-    Parameters
-    ----------
-    amplitude : (L,) array
-        Force amplitude of each line, 0 Hz first.
-    """
+    """Lines of a period at which a periodic force has power, by the force amplitude of each line, 0 Hz first."""
     from scipy import ndimage
 
     strong = amplitude > 0.3 * amplitude[1:].max(initial=0.0)
@@ -281,12 +270,6 @@ def clock_drift(force: Array, period: int) -> float:
     """What a period is longer than a whole number of samples [samples], 0 where that does not matter.
 
     A generator and a recorder with clocks of their own: each period begins a little later in its samples, and its lines turn by 2π·k·δ/n.
-
-    Parameters
-    ----------
-    force : (N,) array
-    period : int
-        Nearest whole number of samples.
     """
     whole = force.size // period
     spectra = sfft.rfft(force[: whole * period].reshape(whole, period), axis=1)
@@ -325,11 +308,7 @@ def transient(forces: Array, responses: Array) -> int:
 
     What a period differs by from the mean of the later half is compared with what is usual there, in groups of eight lines: a transient
     stands near the resonances alone. With one force it is X − H·F with H from the later half: a force that drifts takes its response along.
-
-    Parameters
-    ----------
-    forces, responses : (n_f, P, L), (n_x, P, L) complex arrays
-        At the excited lines.
+    Spectra (n_f, P, L) and (n_x, P, L) at the excited lines.
     """
     periods, n_lines = forces.shape[1:]
     if not responses.shape[0]:

@@ -56,13 +56,7 @@ class LocalRational:
 
 
 def window_indices(centres: Array, n_lines: int, first: int, last: int) -> NDArray[np.intp]:
-    """Lines of the window around each centre (n_centres, n_lines), shifted inwards at the ends of [first, last].
-
-    Raises
-    ------
-    DataError
-        If the range is shorter than a window.
-    """
+    """Lines of the window around each centre (n_centres, n_lines), shifted inwards at the ends of [first, last]."""
     if last - first + 1 < n_lines:
         raise DataError(f"{last - first + 1} lines do not hold a window of {n_lines}", hint="the record or the band is too short")
     start = np.clip(np.rint(centres).astype(int) - n_lines // 2, first, last - n_lines + 1)
@@ -74,12 +68,7 @@ LONGEST = 1 << 21
 
 
 def spectrum_lines(data: NDArray[np.floating[Any]], rows: ArrayLike, lines: NDArray[np.intp], n_samples: int) -> Array:
-    """Chosen DFT lines of the first ``n_samples`` samples of some rows, one row at a time; mean removed.
-
-    Returns
-    -------
-    (n_rows, n_lines) complex array
-    """
+    """Chosen DFT lines (n_rows, n_lines) of the first ``n_samples`` samples of some rows, one row at a time; mean removed."""
     rows = np.asarray(rows, int)
     out = np.empty((rows.size, lines.size), complex)
     for i, row in enumerate(rows):
@@ -204,19 +193,9 @@ def roughness_variance(
 ) -> Array:
     """E|ΔH|² of FRFs without averages: what a local rational model, common to all responses of a reference, leaves of each.
 
-    Parameters
-    ----------
-    h : (n_responses, n_references, n_lines) complex array
-    n_lines : int
-        Lines a window; with fewer lines in all the variance is NaN.
-    frequencies_hz : (n_lines,) array, optional
-        Lines [Hz] where they are not evenly spaced.
-    smoothed : bool
-        Whether it is smoothed over neighbouring windows: right for noise, which hardly changes with frequency, not for distortion,
-        which peaks at resonances.
-    force_power : (n_references, n_lines) array, optional
-        Power of the force at each line: noise of the response is even then, that of the FRF grows where the force is weak (the notches
-        of a hammer pulse).
+    With fewer lines in all than a window has, it is NaN. ``smoothed`` over neighbouring windows is right for noise, which hardly changes
+    with frequency, not for distortion, which peaks at resonances. With ``force_power`` (n_references, n_lines) noise of the response is
+    even, that of the FRF grows where the force is weak (the notches of a hammer pulse).
     """
     count = h.shape[2]
     out = np.full(h.shape, np.nan)

@@ -33,30 +33,11 @@ def remaining_share(
     band: tuple[float, float] | None = None,
     quiet: int = 0,
 ) -> tuple[float, float]:
-    """Largest share of its amplitude that a line still has at the end of the blocks, where it stands out of the noise.
+    """Largest share of its amplitude that a line still has at the end of the blocks, where it stands out of the noise (else 0); that line.
 
     The spectra of the first and last quarter of the blocks are compared line by line. What stands out at the end is no response to the hit
-    where the noise near that line is as large, where it grew since the beginning, or where it was there before the hit.
-
-    Parameters
-    ----------
-    data : (n_channels, n_samples) array
-    rows : sequence of int
-        Responses.
-    starts : array of int
-        First sample of each block.
-    block : int
-        Samples a block.
-    band : (low, high), optional
-        Hz; default: what the quarters resolve, up to the anti-alias limit.
-    quiet : int
-        Samples at the beginning of the record before anything was hit.
-
-    Returns
-    -------
-    share : float
-        0 where nothing stands out of the noise at the end.
-    frequency_hz : float
+    where the noise near that line is as large, where it grew since the beginning, or where it was there before the hit: in the first
+    ``quiet`` samples of the record nothing was hit yet. Without a band: what the quarters resolve, up to the anti-alias limit.
     """
     quarter = block // 4
     if quarter < 16 or starts.size == 0:

@@ -105,14 +105,10 @@ def aligned(run: RunEstimate, responses: Sequence[Dof], references: Sequence[Dof
 
 
 def inhomogeneity(first: RunEstimate, second: RunEstimate) -> tuple[float, float]:
-    """How far two runs of the same reference differ.
+    """How far two runs of the same reference differ, as a ratio to the variance expected, and relative to |H|.
 
-    Returns
-    -------
-    ratio : float
-        Median over rows and eight bands of mean |ΔH|² over mean (var₁ + var₂), 1 where only noise differs; the largest band counts.
-    relative : float
-        sqrt(Σ|ΔH|²/Σ|H|²) over the lines with a signal-to-noise ratio above 10, after taking off the expected noise.
+    The ratio is the median over rows and eight bands of mean |ΔH|² over mean (var₁ + var₂), 1 where only noise differs; the largest band
+    counts. The relative difference is sqrt(Σ|ΔH|²/Σ|H|²) over the lines with a signal-to-noise ratio above 10, less the expected noise.
     """
     second = aligned(second, first.responses, first.references)
     difference = np.abs(first.data - second.data) ** 2
@@ -145,16 +141,11 @@ def union(runs: Sequence[RunEstimate]) -> tuple[Dof, ...]:
 
 
 def pool(runs: Sequence[RunEstimate], responses: Sequence[Dof] | None = None) -> RunEstimate:
-    """Mean of runs of the same references over the union of their responses: sensors may have roved between the runs.
+    """Mean of runs of the same references over the union of their responses (or some of them): sensors may have roved between the runs.
 
     The weight is the information in each line over the noise of each response in each run (one number over all lines: weights
     from the variance of single lines would favour lines whose noise happens to look small). A pair that one run alone measured
     stays as it is.
-
-    Parameters
-    ----------
-    responses : sequence of Dof, optional
-        Rows wanted. Default: all.
     """
     base = runs[0]
     rows = tuple(responses) if responses is not None else union(runs)
@@ -342,10 +333,7 @@ def absent_pairs(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) 
 def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEstimate:
     """Runs of the same references in one: the mean of those that agree with the lowest level, and rows that only others have.
 
-    Parameters
-    ----------
-    findings : list of Finding
-        Gains one for the runs that differ, and one for sensors that nothing ties to the others.
+    ``findings`` gains one for the runs that differ, and one for sensors that nothing ties to the others.
     """
     if len(group) == 1:
         return group[0]

@@ -30,18 +30,9 @@ SIGNIFICANT = 3.0
 
 @dataclass(frozen=True)
 class Shift:
-    """Relative shift of the natural frequencies of a second measurement against a first one.
+    """Relative shift f₂/f₁ − 1 of the natural frequencies of a second measurement against a first one, with its standard deviation.
 
-    Parameters
-    ----------
-    frequencies_hz : (n,) array
-        Peaks that both have.
-    relative : (n,) array
-        f₂/f₁ − 1 of each.
-    std : (n,) array
-        Its standard deviation.
-    half_widths_hz : (n,) array
-        Half of the half-power bandwidth of each peak.
+    One a peak that both have, all arrays (n,); ``half_widths_hz`` is half of the half-power bandwidth of each.
     """
 
     frequencies_hz: Array
@@ -59,27 +50,12 @@ class Shift:
 
 
 def local_pole(frequencies_hz: Array, data: Array, variance: Array, peak: Peak) -> tuple[complex, float] | None:
-    """Pole of the mode at a peak, common to all rows, from the lines around it.
+    """Pole f_d + iζf [Hz] of the mode at a peak, common to all rows, from the lines around it, and the standard deviation of its real part.
 
     Near a peak each row is H = r/(f − p) + b with its own r and b and one p = f_d + iζf. Multiplied by (f − p) the equation is linear:
     f·H = p·H + (r − p·b) + b·f. It is solved by least squares with the noise of each line and, as Sanathanan and Koerner (1963) do, the
-    weight 1/(f − p) of the pass before.
-
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-    data : (n_rows, n_lines) complex array
-        FRFs of any quantity; rows that are not finite are left out.
-    variance : (n_rows, n_lines) array
-
-    Returns
-    -------
-    pole : complex
-        f_d + iζf [Hz].
-    std : float
-        Standard deviation of its real part [Hz].
-    None
-        Where fewer than five lines or no row lie around the peak, or the pole found does not.
+    weight 1/(f − p) of the pass before. FRFs (n_rows, n_lines) of any quantity; rows that are not finite are left out. None where fewer
+    than five lines or no row lie around the peak, or the pole found does not.
     """
     centre, half = peak.frequency_hz, 0.5 * peak.bandwidth_hz
     near = np.flatnonzero(np.abs(frequencies_hz - centre) <= HALF_WIDTHS * half)
@@ -109,18 +85,9 @@ def local_pole(frequencies_hz: Array, data: Array, variance: Array, peak: Peak) 
 
 
 def frequency_shifts(frequencies_hz: Array, first: tuple[Array, Array], second: tuple[Array, Array]) -> Shift | None:
-    """Shift of each mode that stands out of the noise in both of two measurements.
+    """Shift of each mode that stands out of the noise in both of two measurements; None where no peak is in both.
 
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-    first, second : (data, variance), each (n_rows, n_lines)
-        Best of the same rows: then what the local model leaves out is the same in both.
-
-    Returns
-    -------
-    Shift
-        Or None where no peak is in both.
+    Each is (data, variance), (n_rows, n_lines), best of the same rows: then what the local model leaves out is the same in both.
     """
     found = []
     for peak in resonance_peaks(frequencies_hz, first[0][:, None], first[1][:, None]):

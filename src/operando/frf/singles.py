@@ -13,16 +13,11 @@ from operando.frf.runs import RunEstimate, aligned, coherence_of
 
 
 def average_hits(runs: Sequence[RunEstimate]) -> list[RunEstimate]:
-    """The runs, with those that are single hits at one place, on the same sensors, averaged to one.
+    """The runs, with those that are single hits at one place (``hit_s``), on the same sensors, averaged to one.
 
     With the power of its force as weight the mean of FRFs of single hits is H1 over all hits, and their scatter gives its variance
     (a hit by itself has none but the roughness from line to line). A hit that the mean of the others does not predict is left out, as in
     one record (:func:`operando.frf.impact.reject_inconsistent`).
-
-    Parameters
-    ----------
-    runs : sequence of RunEstimate
-        ``hit_s`` says which are single hits.
     """
     groups: dict[tuple[object, ...], list[RunEstimate]] = {}
     for k, run in enumerate(runs):

@@ -50,13 +50,7 @@ class CrossSpectra:
 
 
 def window_samples(name: str, length: int) -> NDArray[np.float64]:
-    """Window of ``length`` samples: periodic ``hann`` or ``rectangular``.
-
-    Raises
-    ------
-    DataError
-        If the name is unknown.
-    """
+    """Window of ``length`` samples: periodic ``hann`` or ``rectangular``."""
     if name == "hann":
         return 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
     if name == "rectangular":
@@ -107,13 +101,7 @@ def effective_averages(window: ArrayLike, starts: ArrayLike) -> float:
 
 
 def block_starts(n_samples: int, block: int, overlap: float) -> NDArray[np.intp]:
-    """First sample of each block of a record, ``overlap`` in [0, 1).
-
-    Raises
-    ------
-    DataError
-        If the record is shorter than a block or the overlap is out of range.
-    """
+    """First sample of each block of a record, ``overlap`` in [0, 1)."""
     if not 0 <= overlap < 1:
         raise DataError(f"overlap {overlap} is not in [0, 1)", hint="0.5 suits a Hann window")
     if block < 4 or n_samples < block:

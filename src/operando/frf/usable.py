@@ -20,14 +20,7 @@ others, more would be lost than its gap in some columns costs. A roving hammer o
 
 @dataclass(frozen=True)
 class ChannelFault:
-    """Why a channel of one record cannot be used.
-
-    Parameters
-    ----------
-    kind : {"nan", "flat"}
-    message : str
-        What is wrong, with numbers.
-    """
+    """Why the channel of one row cannot be used: ``nan`` or ``flat``, and what is wrong with numbers."""
 
     row: int
     kind: str

@@ -39,16 +39,8 @@ def usable(run: RunInput) -> bool:
 def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17, rejected: Sequence[int] = ()) -> RunEstimate:
     """Local rational estimate of one run at the lines wanted.
 
-    Parameters
-    ----------
-    rejected : sequence of int
-        Hits not to be used. The record stays whole, because the structure rings on; the force of each such hit becomes an input of its
-        own, whose FRF takes up whatever it did to the structure and is thrown away.
-
-    Raises
-    ------
-    DataError
-        If a force holds values that are not finite, no response is finite, or the record is too short.
+    The record stays whole around hits that are ``rejected``, because the structure rings on; the force of each such hit becomes an input of
+    its own, whose FRF takes up whatever it did to the structure and is thrown away.
     """
     record = run.record
     if not usable(run):
@@ -106,16 +98,10 @@ def _forces_apart(run: RunInput, rejected: Sequence[int]) -> Array:
 def choose_lines(
     runs: Sequence[RunInput], band: tuple[float, float] | None, spacing: float | None, max_lines: int, window_lines: int
 ) -> tuple[Array, Peak | None]:
-    """Even lines on the multiples of the spacing: at most ``max_lines``, unless the sharpest peak needs more (up to three times as many).
+    """Even lines [Hz] on the multiples of the spacing: at most ``max_lines``, unless the sharpest peak needs more (up to three times).
 
     The sharpest peak gets at least five lines in its half-power bandwidth; it is measured on a coarse pilot estimate, refined around
-    its peaks.
-
-    Returns
-    -------
-    frequencies : array [Hz]
-    peak : Peak or None
-        The sharpest peak.
+    its peaks, and returned beside the lines.
     """
     duration = min(float(fft.prev_fast_len(r.record.n_samples, real=True)) / r.record.sampling_hz for r in runs)
     nyquist = min(r.record.sampling_hz for r in runs) / 2

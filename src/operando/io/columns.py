@@ -31,15 +31,7 @@ class NoHeader(FormatError):
 
 
 class NoLines(FormatError):
-    """FRFs whose frequencies nobody states.
-
-    Parameters
-    ----------
-    lines : int
-        Number of lines.
-    where : str
-        The file.
-    """
+    """FRFs of so many lines whose frequencies nobody states."""
 
     def __init__(self, lines: int, where: str = "") -> None:
         super().__init__(
@@ -50,15 +42,7 @@ class NoLines(FormatError):
 
 
 class NoRate(FormatError):
-    """Time histories whose sampling rate nobody states.
-
-    Parameters
-    ----------
-    where : str
-        The file.
-    message, hint : str, optional
-        What was found in place of a rate, and what to do.
-    """
+    """Time histories whose sampling rate nobody states."""
 
     def __init__(
         self,
@@ -70,17 +54,7 @@ class NoRate(FormatError):
 
 
 class NoMeasurement(FormatError):
-    """A table that describes the structure or the sensors: lines between nodes, directions.
-
-    Parameters
-    ----------
-    what : str
-        What it holds, in words.
-    heads : sequence of str
-        Names of its columns.
-    where : str
-        The file.
-    """
+    """A table that describes the structure or the sensors: lines between nodes, directions."""
 
     def __init__(self, what: str, heads: Sequence[str], where: str) -> None:
         hint = "directions belong in [directions] of the test file"
@@ -108,22 +82,10 @@ def is_node_column(name: str) -> bool:
 
 
 def described_structure(heads: Sequence[str], numbers: NDArray[np.float64] | None = None) -> str:
-    """What a table describes of the structure, empty where it may be a measurement.
+    """What a table describes of the structure: ``NODES``, ``nodes and directions``, ``lines between nodes``; empty where it may be none.
 
-    A column of nodes beside x, y, z or a direction is enough. Two columns of ends may be channels of two nodes as well: their numbers
-    decide, whole and positive, and no row twice the same.
-
-    Parameters
-    ----------
-    heads : sequence of str
-        Names of the columns, without units.
-    numbers : (n_rows, n_columns) array, optional
-        None where they are not read yet.
-
-    Returns
-    -------
-    str
-        ``NODES``, ``nodes and directions``, ``lines between nodes``, or empty.
+    A column of nodes beside x, y, z or a direction is enough. Two columns of ends may be channels of two nodes as well: their ``numbers``
+    (n_rows, n_columns) decide, whole and positive, and no row twice the same.
     """
     names = {head.lower() for head in heads}
     if any(is_node_column(name) for name in names) and not names & {"t", "time"}:
@@ -140,16 +102,8 @@ def described_structure(heads: Sequence[str], numbers: NDArray[np.float64] | Non
 def check_columns(columns: Any, where: str) -> tuple[str, ...]:
     """``[units] columns`` of a test file, checked.
 
-    Parameters
-    ----------
-    columns : list of str
-        ``["Hz", "dB", "deg"]``: a frequency (Hz or rad/s), a level (dB, magnitude, or real) and the phase (deg or rad) or imag; or
-        ``["s", "g", "N"]``: a time (s or ms) and the unit of each channel, empty where it is not known.
-
-    Raises
-    ------
-    ConfigError
-        If it is none of these.
+    ``["Hz", "dB", "deg"]``: a frequency (Hz or rad/s), a level (dB, magnitude, or real) and the phase (deg or rad) or imag; or
+    ``["s", "g", "N"]``: a time (s or ms) and the unit of each channel, empty where it is not known.
     """
     expected = 'write ["Hz", "dB", "deg"], ["Hz", "magnitude", "deg"], ["Hz", "real", "imag"], or ["s", "g", "N"] for time histories'
     if not isinstance(columns, list | tuple) or len(columns) < 2 or not all(isinstance(c, str) for c in columns):
@@ -170,17 +124,7 @@ def check_columns(columns: Any, where: str) -> tuple[str, ...]:
 
 
 def propose_columns(table: NDArray[Any]) -> tuple[str, ...]:
-    """A guess of what the columns are, from the numbers alone.
-
-    Parameters
-    ----------
-    table : (n_columns, n_rows) array
-
-    Returns
-    -------
-    tuple of str
-        As for :func:`check_columns`; empty where the numbers tell nothing.
-    """
+    """A guess of what the columns (n_columns, n_rows) are, from the numbers alone; empty where they tell nothing."""
     if table.shape[0] < 2 or table.shape[1] < 3 or not np.all(np.diff(table[0]) > 0):
         return ()
     # a record starts at 0 and is sampled faster than 100 Hz; lines closer than 0.01 Hz would need a record of more than 100 s
@@ -200,13 +144,7 @@ def propose_columns(table: NDArray[Any]) -> tuple[str, ...]:
 
 
 def complex_lines(table: NDArray[Any], columns: Sequence[str], where: str) -> tuple[NDArray[Any], NDArray[Any], list[Finding]]:
-    """Frequencies [Hz], complex values, and what is wrong with them.
-
-    Raises
-    ------
-    FormatError
-        If the table has another number of columns than stated, or the frequencies do not increase.
-    """
+    """Frequencies [Hz], complex values, and what is wrong with them."""
     if table.shape[0] != len(columns):
         raise FormatError(
             f"{table.shape[0]} columns of numbers, but [units] columns names {len(columns)}", where=where, hint=f"columns = {list(columns)}"

@@ -93,13 +93,7 @@ def convert(
 
 
 def format_of(path: str | Path) -> str:
-    """Format that the name of a file to be written tells: ``uff``, ``hdf5``, ``matlab`` or ``csv``.
-
-    Raises
-    ------
-    FormatError
-        If it tells none.
-    """
+    """Format that the name of a file to be written tells: ``uff``, ``hdf5``, ``matlab`` or ``csv``."""
     suffix = Path(path).suffix
     if suffix.lower() not in _SUFFIXES:
         raise FormatError(f"{suffix or 'no suffix'!r} tells no format", where=str(path), hint="use .uff, .unv, .h5, .mat or .csv")
@@ -197,14 +191,7 @@ def _describe(obj: Any) -> str:
 
 
 def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: bool = True) -> list[str]:
-    """What of an object a format does not keep, in words.
-
-    Parameters
-    ----------
-    kind : {"uff", "hdf5", "matlab", "csv"}
-    binary : bool
-        UFF: 58b keeps all digits of functions, ASCII 13.
-    """
+    """What of an object a format does not keep, in words. UFF: 58b (``binary``) keeps all digits of functions, ASCII 13."""
     if kind == "hdf5":
         return []
     out = ["findings and provenance"] if obj.provenance.inputs or getattr(obj, "findings", ()) else []

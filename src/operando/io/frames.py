@@ -16,13 +16,7 @@ if TYPE_CHECKING:
 
 
 def library(name: str) -> Any:
-    """A library that is needed only where its form is asked for.
-
-    Raises
-    ------
-    MissingError
-        If it is not installed.
-    """
+    """A library that is needed only where its form is asked for."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -30,31 +24,13 @@ def library(name: str) -> Any:
 
 
 def dataframe(obj: Any) -> pandas.DataFrame:
-    """Numbers of an object as a table.
+    """Numbers of a record, FRFs, a model or a geometry as a table.
 
-    Parameters
-    ----------
-    obj : TimeRecord, Frf, ModalModel or Geometry
+    Of a record: one column a channel over ``time_s``. Of FRFs: complex, one column a pair (response, reference) over ``frequency_hz``;
+    then, where they are known, the standard deviation and the coherence of each, as columns (response, "1+Z std") and (response,
+    "1+Z coherence"). Of a model: one row a mode, with its shape in a column for each DOF; ``modal_phase_collinearity`` where the shapes are
+    complex. Of a geometry: one row a node.
 
-    Returns
-    -------
-    pandas.DataFrame
-        Of a record: one column a channel over ``time_s``. Of FRFs: complex, one column a pair (response, reference) over
-        ``frequency_hz``; then, where they are known, the standard deviation and the coherence of each, as columns
-        (response, "1+Z std") and (response, "1+Z coherence"). Of a model: one row a mode, with its shape in a column for each DOF;
-        ``modal_phase_collinearity`` where the shapes are complex. Standard deviations of shapes are in :func:`dataset` (``shape_std``)
-        and ``model.shape_std``, residual terms in ``model.residuals``, the covariance in ``model.covariance``. Of a geometry: one row
-        a node.
-
-    Raises
-    ------
-    MissingError
-        If pandas is not installed.
-    ObjectError
-        If it is something else.
-
-    Examples
-    --------
     >>> frf = Frf(np.ones((2, 1, 3)), [1.0, 2.0, 3.0], "1+Z, 2+Z", "1+Z")
     >>> float(dataframe(frf)["2+Z", "1+Z"].loc[2.0].real)
     1.0
@@ -98,25 +74,11 @@ def dataframe(obj: Any) -> pandas.DataFrame:
 
 
 def dataset(obj: Any) -> xarray.Dataset:
-    """Arrays of an object with their labels.
+    """Arrays of a record, FRFs, a model or a geometry with their labels.
 
-    Parameters
-    ----------
-    obj : TimeRecord, Frf, ModalModel or Geometry
-
-    Returns
-    -------
-    xarray.Dataset
-        Of a record: ``data`` (channel, time_s). Of FRFs: ``frf``, ``variance``, ``coherence`` (response, reference, frequency_hz). Of a
-        model: ``frequency_hz``, ``damping_ratio`` with their deviations (mode), ``shape``, ``shape_std`` (dof, mode); residual terms are in
-        ``model.residuals``, the covariance in ``model.covariance``. Of a geometry: ``coordinates`` (node, axis).
-
-    Raises
-    ------
-    MissingError
-        If xarray is not installed.
-    ObjectError
-        If it is something else.
+    Of a record: ``data`` (channel, time_s). Of FRFs: ``frf``, ``variance``, ``coherence`` (response, reference, frequency_hz). Of a
+    model: ``frequency_hz``, ``damping_ratio`` with their deviations (mode), ``shape``, ``shape_std`` (dof, mode); residual terms are in
+    ``model.residuals``, the covariance in ``model.covariance``. Of a geometry: ``coordinates`` (node, axis).
     """
     xr = library("xarray")
     if isinstance(obj, TimeRecord):

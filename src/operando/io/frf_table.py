@@ -55,13 +55,7 @@ def is_frf_table(names: Sequence[str]) -> bool:
 
 def read_bare_frf(table: NDArray[np.float64], columns: Sequence[str], path: Path, units: Units | None,
                   channels: ChannelSpecs | None) -> Content:  # fmt: skip
-    """One FRF of a table without a header line, its columns as the test file states (``columns.check_columns``).
-
-    Raises
-    ------
-    FormatError
-        If the first column does not increase.
-    """
+    """One FRF of a table without a header line, its columns as the test file states (``columns.check_columns``)."""
     frequencies, values, notes = complex_lines(table, columns, str(path))
     source = _source(path, units, channels)
     frf, findings = make_frf(values[None, None], frequencies, path.name, source, ["ch1"])
@@ -71,23 +65,7 @@ def read_bare_frf(table: NDArray[np.float64], columns: Sequence[str], path: Path
 
 def read_frf_table(names: Sequence[str], texts: Sequence[str], table: NDArray[np.float64], comments: Sequence[str], path: Path,
                    units: Units | None, channels: ChannelSpecs | None) -> Content:  # fmt: skip
-    """FRFs of a table with a header line, the first column the frequency.
-
-    Parameters
-    ----------
-    names, texts : sequences of str
-        Name and unit of each column.
-    table : (n_columns, n_rows) array
-    comments : sequence of str
-        Comment lines: ``# averages = 4``.
-    units, channels : mappings, optional
-        As for :func:`operando.io.read`.
-
-    Raises
-    ------
-    FormatError
-        If a column has no partner, or no pair of columns is an FRF.
-    """
+    """FRFs of a table (n_columns, n_rows) with a header line of names and units (``texts``), the first column the frequency."""
     where = str(path)
     found: dict[tuple[Dof, Dof], dict[str, int]] = {}
     notes = ["frequency"]

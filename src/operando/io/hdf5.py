@@ -267,11 +267,7 @@ class _Stored:
     def array(self, name: str, stated: str | None) -> np.ndarray:
         """Values of a dataset below the group, whose hash is stated (None in files of the first version).
 
-        Raises
-        ------
-        FormatError
-            If there is no such dataset, it holds something else than was written, or it was taken before: a short text could name one
-            array many times and fill the memory.
+        Each is taken once: a short text could name one array many times and fill the memory.
         """
         import h5py
 
@@ -292,13 +288,7 @@ class _Stored:
         return found
 
     def samples(self, name: str, stated: str | None) -> np.ndarray | MappedSamples:
-        """The same of the samples of a record, which stay in the file where they are many and lie there as they are in memory.
-
-        Raises
-        ------
-        FormatError
-            As for ``array``.
-        """
+        """The same of the samples of a record, which stay in the file where they are many and lie there as they are in memory."""
         item: Any = self.group.get(name) if isinstance(name, str) and not name.startswith("/") else None
         plain = getattr(item, "ndim", 0) == 2 and item.dtype.kind == "f" and item.nbytes >= mapped.MAPPED_FROM
         start = item.id.get_offset() if plain and item.chunks is None else None

@@ -45,12 +45,7 @@ def hash_of(value: str | np.ndarray) -> str:
 class Target:
     """The group an object is written to, what stands in the file already, and whether large arrays are compressed.
 
-    Parameters
-    ----------
-    standing : dict
-        Hash of each large array → what a tree says of it.
-    matrices : list
-        Each large symmetric matrix, and what a tree says of it.
+    ``standing`` is what a tree says of each large array, by its hash; ``matrices`` what it says of each large symmetric matrix.
     """
 
     group: h5py.Group

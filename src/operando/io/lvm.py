@@ -32,13 +32,7 @@ class _Block:
 
 
 def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None) -> Content:
-    """Read a LabVIEW measurement file; blocks of the same channels that follow one another in time become one record.
-
-    Raises
-    ------
-    FormatError
-        If the header is damaged, a row does not fit, or no block is a time history.
-    """
+    """Read a LabVIEW measurement file; blocks of the same channels that follow one another in time become one record."""
     path = Path(path)
     where = str(path)
     with open_file(path) as stream:

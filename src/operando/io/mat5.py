@@ -21,31 +21,13 @@ def read_mat5(path: str | Path) -> dict[str, Any]:
     """Variables of a file by name: arrays, numbers, texts, lists (cells), dicts (structures).
 
     The file is tried in a process of its own first: SciPy's reader can end the process on a damaged file.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, or its content is out of proportion to its size.
-    MissingError
-        If there is no such file.
     """
     try_apart(path, "matlab")
     return _load(Path(path))
 
 
 def try_mat5(path: Path, alive: Callable[[], None] = lambda: None) -> None:
-    """Check the sizes of all variables, then read them once.
-
-    Parameters
-    ----------
-    alive : callable
-        Called after every variable: the trial goes on.
-
-    Raises
-    ------
-    FormatError
-        If a size does not fit, or compressed data are damaged.
-    """
+    """Check the sizes of all variables, then read them once; ``alive`` is called after every variable."""
     size = path.stat().st_size
     with open(path, "rb") as stream:
         mark = stream.read(128)[126:128]

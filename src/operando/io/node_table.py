@@ -21,26 +21,7 @@ AXES = ("x", "y", "z")
 def read_node_table(
     names: Sequence[str], texts: Sequence[str], rows: Sequence[tuple[int, Sequence[str]]], decimal: str, path: Path, units: Units | None
 ) -> Content:
-    """Geometry of a table with a column of nodes and the columns x, y and z.
-
-    Parameters
-    ----------
-    names, texts : sequence of str
-        Name and unit of each column.
-    rows : sequence of (int, sequence of str)
-        Line of the file, from 1, and the cells of each row.
-    decimal : str
-        Decimal mark.
-    path : Path
-        The file.
-    units : Units or None
-        ``length`` where the columns have no unit.
-
-    Raises
-    ------
-    FormatError
-        If a node or a coordinate is none, or a node stands there twice; the line is named.
-    """
+    """Geometry of a table with a column of nodes and the columns x, y and z; each row is its line of the file and its cells."""
     from operando.io.uff.reader import provenance_of
 
     where = str(path)

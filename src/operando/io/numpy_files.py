@@ -22,13 +22,7 @@ from operando.io.variables import Variable, content_of
 
 
 def read_npy(path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None) -> Content:
-    """Read one array; the sampling rate comes from ``units["sampling_hz"]``, or the first column is the axis.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, holds objects, or has no time or frequency axis.
-    """
+    """Read one array; the sampling rate comes from ``units["sampling_hz"]``, or the first column is the axis."""
     path = Path(path)
     with open_file(path) as stream:
         value = _array(stream, path.stat().st_size, str(path))
@@ -36,13 +30,7 @@ def read_npy(path: str | Path, *, units: Units | None = None, channels: ChannelS
 
 
 def read_npz(path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None) -> Content:
-    """Read the arrays of an archive by name, as those of a MATLAB file (``data``, ``fs``, ``time``, ``channel_names``, ``units``, …).
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, holds objects only, or no data with a time or frequency axis.
-    """
+    """Read the arrays of an archive by name, as those of a MATLAB file (``data``, ``fs``, ``time``, ``channel_names``, ``units``, …)."""
     path = Path(path)
     where = str(path)
     variables: list[Variable] = []

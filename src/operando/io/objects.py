@@ -22,15 +22,7 @@ HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
 def save(obj: Any, path: str | Path) -> None:
     """Write one object; the format follows from the name of the file.
 
-    Parameters
-    ----------
-    path : path
-        ``.h5`` keeps everything; other formats take what they can hold, and a warning says what they cannot.
-
-    Raises
-    ------
-    FormatError
-        If the name tells no format, or the format cannot take such an object.
+    ``.h5`` keeps everything; other formats take what they can hold, and a warning says what they cannot.
     """
     kind = format_of(path)
     if kind == "hdf5":
@@ -118,11 +110,6 @@ def _expect_hdf5(path: str | Path) -> None:
     """Refuse a file of another format in words of its own: it is not damaged.
 
     A file that is in no known format and is called as HDF5 files are goes on, to be tried as a damaged one.
-
-    Raises
-    ------
-    FormatError
-        If it is a file of another format, or of none that is known.
     """
     try:
         kind = detect_format(path)

@@ -42,13 +42,7 @@ _WORDS = {
 
 
 def check_stated(units: Any, channels: Any) -> None:
-    """Refuse what is no mapping of units, or of channels, and a quantity that is not known.
-
-    Raises
-    ------
-    ConfigError
-        It names the nearest known one.
-    """
+    """Refuse what is no mapping of units, or of channels, and a quantity that is not known."""
     given = (("units", units, 'units={"acceleration": "g"}'), ("channels", channels, 'channels={"ch1": {"dof": "12+Z", "unit": "g"}}'))
     for what, value, example in given:
         if value is not None and not isinstance(value, Mapping):
@@ -71,20 +65,10 @@ class UnitSystem:
 
 @dataclass(frozen=True)
 class Scale:
-    """How numbers become SI.
+    """How numbers become SI: ``unit`` is empty and ``factor`` 1 where the unit is not known.
 
-    Parameters
-    ----------
-    quantity : str
-        Physical quantity, ``unknown`` where neither code nor unit says.
-    unit : str
-        SI unit after multiplication by ``factor``; empty where the unit is not known (then the factor is 1).
-    source_unit : str
-        Unit as stated.
-    origin : str
-        Who stated it: ``label``, ``unit set 164``, ``[units]``, ``[channels]``, or empty.
-    problem : str
-        Contradiction found on the way, in words.
+    ``origin`` says who stated the unit: ``label``, ``unit set 164``, ``[units]``, ``[channels]``, or empty; ``problem`` a contradiction
+    found on the way.
     """
 
     quantity: str
@@ -151,25 +135,8 @@ def resolve(
 ) -> Scale:
     """Decide quantity and SI factor of some numbers.
 
-    What [channels] says comes first, then the unit text of the file, then the unit set 164 of the file, then [units].
-
-    Parameters
-    ----------
-    quantity : str
-        Quantity stated by the file, or ``unknown``.
-    text : str
-        Unit text of the file, may be empty.
-    units, spec : mappings, optional
-        The user's additions.
-    system : UnitSystem, optional
-        UFF 164 of the file.
-    exponents : (int, int, int)
-        Unit exponents of length, force and temperature of the axis.
-
-    Raises
-    ------
-    UnitError
-        If a unit given by the user is unknown or of another quantity.
+    What [channels] says (``spec``) comes first, then the unit text of the file, then the unit set 164 of the file (``system``, with the
+    exponents of length, force and temperature of the axis), then [units].
     """
     spec = spec or {}
     problem = ""
@@ -212,11 +179,6 @@ def find_spec(channels: ChannelSpecs | None, name: str, dof: Dof | None, is_forc
     """The user's entry for a channel: by name, by DOF label, by ``ch1``, ``ch2``, … (order in the file).
 
     A DOF label means the sensor of motion there; the force at the same DOF is ``12+Z:force``.
-
-    Raises
-    ------
-    ConfigError
-        If the entry has an unknown key.
     """
     if not channels:
         return {}
@@ -240,13 +202,7 @@ def _checked(key: str, spec: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def spec_dof(spec: Mapping[str, Any], dof: Dof | None) -> Dof | None:
-    """DOF of a channel: the user's where given.
-
-    Raises
-    ------
-    ConfigError
-        If the label given is no DOF.
-    """
+    """DOF of a channel: the user's where given."""
     if not spec.get("dof"):
         return dof
     try:
@@ -256,21 +212,7 @@ def spec_dof(spec: Mapping[str, Any], dof: Dof | None) -> Dof | None:
 
 
 def possible_coherence(coherence: NDArray[Any] | None, where: str) -> tuple[NDArray[Any] | None, list[Finding]]:
-    """A coherence without the values that none can have, and what was left out.
-
-    Parameters
-    ----------
-    coherence : array or None
-        As in the file.
-    where : str
-        File, for the finding.
-
-    Returns
-    -------
-    coherence : array or None
-        NaN where it was less than 0 or more than 1.
-    findings : list of Finding
-    """
+    """A coherence with NaN for the values below 0 or above 1, which none can have, and the finding about them."""
     if coherence is None:
         return None, []
     wrong = (coherence < -ROUNDING) | (coherence > 1 + ROUNDING)
@@ -285,13 +227,7 @@ def possible_coherence(coherence: NDArray[Any] | None, where: str) -> tuple[NDAr
 
 
 def stated_hz(units: Units | None, *keys: str) -> float | None:
-    """Number of Hz under the first of some keys of [units] that is there, None where none is.
-
-    Raises
-    ------
-    DataError
-        If it is no positive number.
-    """
+    """Number of Hz under the first of some keys of [units] that is there, None where none is."""
     given = next((units[key] for key in keys if units and units.get(key)), None)
     if given is None:
         return None
@@ -307,13 +243,7 @@ def stated_hz(units: Units | None, *keys: str) -> float | None:
 
 
 def stated_rate(units: Units | None, comments: Sequence[str]) -> float | None:
-    """Sampling rate [Hz] of ``units["sampling_hz"]`` or of a comment line, None if neither states one.
-
-    Raises
-    ------
-    DataError
-        If it is no positive number.
-    """
+    """Sampling rate [Hz] of ``units["sampling_hz"]`` or of a comment line, None if neither states one."""
     value = stated_hz(units, "sampling_hz", "sampling")
     if value is not None:
         return value

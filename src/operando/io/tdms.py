@@ -29,13 +29,6 @@ def read_tdms(path: str | Path, *, units: Units | None = None, channels: Channel
     """Read the channels of a TDMS file: those of one rate and length are one record, complex ones FRFs.
 
     The rate is the waveform increment of the channels, else ``units["sampling_hz"]``.
-
-    Raises
-    ------
-    MissingError
-        If npTDMS is not installed.
-    FormatError
-        If the file is damaged, or holds no channel with a rate.
     """
     path = Path(path)
     where = str(path)
@@ -102,13 +95,7 @@ def _together(rows: list[Any]) -> Any:
 
 
 def load_library(where: str) -> Any:
-    """The library npTDMS.
-
-    Raises
-    ------
-    MissingError
-        If it is not installed; says how to get it.
-    """
+    """The library npTDMS."""
     try:
         import nptdms
     except ImportError as error:
@@ -127,13 +114,7 @@ def try_tdms(path: Path, alive: Callable[[], None] = lambda: None) -> None:
 
 
 def _load(path: Path) -> tuple[list[tuple[str, str, float, float, Any, str]], list[str]]:
-    """Name, unit, increment (0: none), offset, values and name of the axis of each channel; what the library says of damage.
-
-    Raises
-    ------
-    FormatError
-        If the channels would take memory out of proportion to the file.
-    """
+    """Name, unit, increment (0: none), offset, values and name of the axis of each channel; what the library says of damage."""
     nptdms = load_library(str(path))
     found = []
     with _heard() as said, ExitStack() as at_end:

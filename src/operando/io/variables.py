@@ -78,11 +78,6 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     A real matrix is a record, its long side time, with a rate from ``fs``, ``dt`` or a time vector; vectors of one length with the same
     time vector or rate beside them are the channels of one record; a matrix of two columns whose first increases evenly is a time
     history [time value] or, if complex, an FRF [frequency value]. Other complex arrays are FRFs with a frequency vector beside them.
-
-    Raises
-    ------
-    FormatError
-        If no data with a time or frequency axis are found; ``NoRate`` where a matrix lacks nothing but a sampling rate.
     """
     source = Source(str(path), variables, units, channels, provenance_of(path))
     records: list[TimeRecord] = []
@@ -308,18 +303,8 @@ def make_frf(table: NDArray[Any], frequencies: NDArray[Any], title: str, source:
              coherence: NDArray[Any] | None = None) -> tuple[Frf, list[Finding]]:  # fmt: skip
     """FRFs of an array (responses, references, lines), and what is not known of them.
 
-    Parameters
-    ----------
-    title : str
-        Name in findings.
-    names : sequence of str
-        Name of each response in the file, empty where it has none.
-    responses, references : tuples of Dof, optional
-        DOFs where the file names them.
-    stated : str
-        Quantity, where the file names it.
-    si : bool
-        Whether the numbers are in SI already.
+    ``title`` is their name in findings, ``names`` those of the responses in the file, ``stated`` the quantity where the file names it;
+    ``si`` whether the numbers are in SI already.
     """
     findings: list[Finding] = []
     channels = source.channels

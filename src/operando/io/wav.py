@@ -26,11 +26,6 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
 
     Whole numbers become a fraction of full scale; the channels are ``ch1``, ``ch2``, …: [channels] says what they measure, and
     ``sensitivity`` the fraction of full scale per unit.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, cut off, or of another coding.
     """
     path = Path(path)
     where = str(path)

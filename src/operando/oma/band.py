@@ -44,16 +44,10 @@ class BandChoice:
 def default_band(records: Sequence[TimeRecord], block_rows: int) -> BandChoice:
     """Band that holds the resonances with the power.
 
-    Lines count that stand at least tenfold above the median about them, in the mean of the channels' spectra, each of unit power.
-    The lowest such line gives the lower limit, the line below which 99 % of their power lies the upper one; this is the power of what was
-    measured (acceleration weighs high, displacement low resonances).
-
-    Parameters
-    ----------
-    records : sequence of TimeRecord
-        All operating records.
-    block_rows : int
-        Of the Hankel matrix; with the lowest resonance it bounds the upper limit.
+    Lines count that stand at least tenfold above the median about them, in the mean of the channels' spectra, each of unit power. The
+    lowest such line gives the lower limit, the line below which 99 % of their power lies the upper one; this is the power of what was
+    measured (acceleration weighs high, displacement low resonances). ``block_rows`` of the Hankel matrix and the lowest resonance bound the
+    upper limit.
     """
     rate = min(r.sampling_hz for r in records)
     seconds = min(r.duration_s for r in records)

@@ -24,16 +24,9 @@ MARGIN = STRETCH // 8
 
 @dataclass(frozen=True)
 class Responses:
-    """Response channels of one or several runs, same rows in the same order.
+    """Response channels (r, n_samples) of one or several runs, same rows in the same order, means not taken off yet.
 
-    Parameters
-    ----------
-    runs : tuple of (r, n_samples) arrays
-        Zero-mean not yet taken.
-    derivative : (r,) int array
-        0 displacement, 1 velocity, 2 acceleration.
-    names : tuple of str
-        Of the runs.
+    ``derivative`` (r,) is 0 for displacement, 1 for velocity, 2 for acceleration.
     """
 
     runs: tuple[NDArray[Any], ...]
@@ -49,13 +42,6 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
     """Response rows that all runs have, in the order and sense of the first run.
 
     A channel with samples that are not finite, or that is constant, in any run is left out of all, with a finding.
-
-    Raises
-    ------
-    DataError
-        If there is no run, sampling rates or quantities differ, or no channel has finite, changing samples.
-    DofError
-        If no response channel has a DOF, or a run lacks one of the first.
     """
     runs = [records] if isinstance(records, TimeRecord) else list(records)
     if not runs:
@@ -164,28 +150,13 @@ def _left_out(message: str, label: str, file: str) -> Finding:
 
 
 def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: float) -> tuple[NDArray[np.float64], float]:
-    """Low-pass and resample each channel by FFT, flat up to ``pass_hz``, a cosine flank down to half the new rate, zero phase.
+    """Low-pass and resample each channel by FFT, flat up to ``pass_hz``, a cosine flank down to half the new rate, no phase; mean removed.
 
     Records longer than ``STRETCH`` are transformed in stretches that overlap by ``MARGIN`` at either end. What a stretch lacks of its
     neighbours is what the filter rings beyond the margin: its impulse response falls with the third power of time, to 1e-9 of its peak
-    after 1000 periods of the flank's width, which the margin exceeds where the flank is wider than 1 % of the sampling rate. A result
-    that is too large for the memory lies in a temporary file.
-
-    Parameters
-    ----------
-    data : (r, n_samples) array
-
-    Returns
-    -------
-    data : (r, n_new) array
-        Mean removed.
-    sampling_hz : float
-        The new rate, near ``new_hz`` (a whole number of samples over the padded length).
-
-    Raises
-    ------
-    IdentificationError
-        If the new rate cannot hold the pass band.
+    after 1000 periods of the flank's width, which the margin exceeds where the flank is wider than 1 % of the sampling rate. A result that
+    is too large for the memory lies in a temporary file. The new rate, given back too, is near ``new_hz``: a whole number of samples over
+    the padded length.
     """
     if not pass_hz < new_hz / 2 < sampling_hz / 2 * 1.000001:
         raise IdentificationError(f"cannot resample from {sampling_hz:g} to {new_hz:g} Hz with a pass band up to {pass_hz:g} Hz")

@@ -21,14 +21,7 @@ are channels within the second limit, so that the sum of cross spectra is not wr
 class BlockCorrelations:
     """Unbiased correlations R(τ) = E[x(t+τ)·x_ref(t)ᵀ] of a record, and of consecutive blocks of it.
 
-    Parameters
-    ----------
-    mean : (n_lags + 1, r, q) array
-        Over the whole record, lags 0 … n_lags.
-    blocks : (n_blocks, n_lags + 1, r, q) array or None
-        Of each block; ``mean`` is their mean with weights ``weights``.
-    weights : (n_blocks,) array
-        Share of the samples in each block, sum 1.
+    ``mean`` (n_lags + 1, r, q) is that of the ``blocks`` with their ``weights``, the share of the samples in each.
     """
 
     mean: NDArray[np.float64]
@@ -44,28 +37,11 @@ def correlate(
     keep_blocks: bool = True,
     centre: bool = False,
 ) -> BlockCorrelations:
-    """Correlations of all channels with the reference channels.
+    """Correlations of all channels (r, n_samples) with the reference channels (rows).
 
-    Each block takes its own times t and looks ``n_lags`` samples beyond its end, so that nothing is lost at the block
-    borders and no window is needed: blocks add up to the exact unbiased estimate of the whole record
-    (but for the last ``n_lags`` samples as references).
-
-    Parameters
-    ----------
-    data : (r, n_samples) array
-    references : (q,) int array
-        Rows used as references.
-    n_blocks : int
-        Equal consecutive blocks.
-    keep_blocks : bool
-        False keeps only the mean (less memory, fewer inverse FFTs).
-    centre : bool
-        Take each channel's mean off first (without a copy of the record).
-
-    Raises
-    ------
-    IdentificationError
-        If a block is shorter than the lags.
+    Each block takes its own times t and looks ``n_lags`` samples beyond its end, so that nothing is lost at the block borders and no window
+    is needed: blocks add up to the exact unbiased estimate of the whole record (but for the last ``n_lags`` samples as references). The
+    mean alone takes less memory and fewer inverse FFTs. ``centre`` takes each channel's mean off first, without a copy of the record.
     """
     r, n_samples = data.shape
     usable = n_samples - n_lags
@@ -115,15 +91,7 @@ def correlate(
 
 
 def pool(parts: list[BlockCorrelations], samples: list[int]) -> BlockCorrelations:
-    """Correlations of several runs as one, weighted by their lengths; their blocks stay apart.
-
-    Parameters
-    ----------
-    parts : list of BlockCorrelations
-        Same lags, channels and references.
-    samples : list of int
-        Length of each run.
-    """
+    """Correlations of several runs (same lags, channels and references) as one, weighted by their lengths; their blocks stay apart."""
     if len(parts) == 1:
         return parts[0]
     share = np.asarray(samples, float) / sum(samples)
@@ -133,17 +101,7 @@ def pool(parts: list[BlockCorrelations], samples: list[int]) -> BlockCorrelation
 
 
 def block_hankel(correlations: NDArray[Any], block_rows: int, block_columns: int) -> NDArray[Any]:
-    """Block-Hankel matrix of the lags 1 … block_rows + block_columns − 1.
-
-    Parameters
-    ----------
-    correlations : (n_lags + 1, r, q) array
-
-    Returns
-    -------
-    (block_rows·r, block_columns·q) array
-        Block (k, l) is R(k + l + 1), k and l from 0.
-    """
+    """Block-Hankel matrix of the lags 1 … block_rows + block_columns − 1: block (k, l) is R(k + l + 1), k and l from 0."""
     _, r, q = correlations.shape
     flat = np.ascontiguousarray(correlations[1 : block_rows + block_columns])
     step = flat.strides

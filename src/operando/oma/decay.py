@@ -46,13 +46,7 @@ class _Gram:
 class DecayDiagram:
     """Poles of all orders of free decays; ``estimate`` concludes like that of the diagrams of stationary records.
 
-    Parameters
-    ----------
-    pieces : list of (r, n) arrays
-        The decays, channels scaled to ``scale``.
-    scale : (r,) array
-    rows : int
-        Block rows.
+    ``pieces`` are the decays (r, n), channels scaled to ``scale``; ``rows`` are block rows.
     """
 
     table: PoleTable
@@ -180,21 +174,9 @@ def decay_diagram(
 ) -> DecayDiagram:
     """Poles of free decays by the eigensystem realisation of the records (Juang & Pappa 1985), all decays side by side.
 
-    Each decay gives columns y(t), y(t + 1), … of one Hankel matrix; its left singular vectors are the observability matrix whatever
-    the initial state of each. White noise of equal size in all channels does not turn them: channels are scaled to their noise at
-    the end of the decays.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        Runs at the rate of the analysis.
-    decays : sequence of lists of (first, stop)
-        Samples of each decay of each run.
-
-    Raises
-    ------
-    IdentificationError
-        If the decays are too short.
+    Each decay (first sample, stop) gives columns y(t), y(t + 1), … of one Hankel matrix; its left singular vectors are the observability
+    matrix whatever the initial state of each. White noise of equal size in all channels does not turn them: channels are scaled to their
+    noise at the end of the decays.
     """
     r = prepared.runs[0].shape[0]
     raw = [np.asarray(run[:, a:b], float) for run, spans in zip(prepared.runs, decays, strict=True) for a, b in spans]

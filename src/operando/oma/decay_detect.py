@@ -29,17 +29,9 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
     """Free decays in a record: (first sample, one past the last) of each; empty if the record is no record of decays.
 
     Power is taken in windows of two periods of the lowest frequency (at least 12, at most 200 windows), as the mean over channels, each
-    over the quietest tenth of its windows. A record of decays begins with its loudest window, or with a quiet stretch and a sudden
-    rise; from each rise on the power falls, with ripples, down to the noise or the next rise; in all it falls by 17 dB or more. A
-    record that is loud for long and then dies away (a machine that stops) is none.
-
-    Parameters
-    ----------
-    run : (r, n_samples) array
-    rate : float
-        [Hz].
-    lowest_hz : float
-        Lower end of the analysis band [Hz].
+    over the quietest tenth of its windows. A record of decays begins with its loudest window, or with a quiet stretch and a sudden rise;
+    from each rise on the power falls, with ripples, down to the noise or the next rise; in all it falls by 17 dB or more. A record that is
+    loud for long and then dies away (a machine that stops) is none.
     """
     samples = run.shape[1]
     end = row_statistics(run[:, -max(samples // 10, 1) :]).mean[:, None]

@@ -15,24 +15,10 @@ from operando.stabilization import RejectedPole, Stabilization
 
 @dataclass(frozen=True)
 class SetUp:
-    """One set-up of a merged analysis: its sensors, its modes, and which merged mode each belongs to.
+    """One set-up of a merged analysis: its sensors, those that another one measures, too, its modes, and the merged mode each belongs to.
 
-    Parameters
-    ----------
-    name : str
-        Names of its records.
-    sensors : tuple of str
-        DOFs it measures.
-    shared : tuple of str
-        Those that another set-up measures, too.
-    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std : (n,) arrays
-        Its own modes; NaN where there is no standard deviation.
-    merged : (n,) int array
-        Index of the merged mode each belongs to, −1 where it was left out.
-    reasons : tuple of str
-        Why a mode was left out (empty where it was not); one a mode.
-    failed : str
-        Why the whole set-up is not used; empty where it is.
+    ``merged`` (n,) is −1 where a mode was left out, and ``reasons`` say why; ``failed`` says why the whole set-up is not used. NaN where
+    there is no standard deviation.
     """
 
     name: str
@@ -72,12 +58,7 @@ class SetUp:
 class JointCheck:
     """The joint estimate beside the merged modes; NaN where it has no such mode.
 
-    Parameters
-    ----------
-    text : str
-        What it is, or why there is none.
-    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std, mac : (n,) arrays
-        Of the joint mode that belongs to each merged mode; MAC between both shapes.
+    ``text`` says what it is, or why there is none; ``mac`` is between both shapes.
     """
 
     text: str

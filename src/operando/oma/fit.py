@@ -130,13 +130,7 @@ def fit_oma(
 
 
 def checked_band(band: Band, records: Sequence[TimeRecord]) -> Band:
-    """The band asked for.
-
-    Raises
-    ------
-    ConfigError
-        If it is empty or reaches half the sampling rate of a record.
-    """
+    """The band asked for."""
     rate = min(r.sampling_hz for r in records)
     low, high = band_limits(band)
     if not 0 <= low < high:

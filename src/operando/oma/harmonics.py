@@ -56,13 +56,9 @@ class Harmonic:
 
 
 def line_height(data: NDArray[Any], sampling_hz: float, segments: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Power of each spectral line over the median of its neighbours three to nine lines away, mean over channels.
+    """Power of each spectral line over the median of its neighbours three to nine lines away, mean over channels, and the lines.
 
     Hann-windowed, half-overlapped segments; channel by channel, so that memory stays that of one channel.
-
-    Returns
-    -------
-    frequencies, height : (k,) arrays
     """
     n = data.shape[1]
     size = n // segments

@@ -67,11 +67,6 @@ def fit_joint(setups: Sequence[SetUpData], band: tuple[float, float], tolerances
     matrix of the shared sensors, their right ones say how each set-up was excited; the rows of the other sensors are brought to this common
     basis by least squares. Canonical-variate weights make set-ups of different excitation level comparable. Standard
     deviations come from leaving out one group of blocks of one set-up at a time.
-
-    Raises
-    ------
-    IdentificationError
-        If no sensor is in all set-ups with one quantity, sampling rates differ, or nothing is found.
     """
     layout = _layout(setups)
     p = setups[0].prepared

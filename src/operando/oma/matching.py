@@ -66,15 +66,10 @@ def frequency_limit(a: ModalModel, i: int, b: ModalModel, j: int) -> float:
 
 
 def match(models: Sequence[ModalModel]) -> list[Cluster]:
-    """Modes of all set-ups in clusters, at most one mode of a set-up in each.
+    """Modes of all set-ups in clusters, at most one mode of a set-up in each, by frequency.
 
-    Set-ups are taken by their number of modes; each is assigned to the clusters so far by the smallest sum of frequency difference
-    (in units of its limit) and 1 − MAC, pairs beyond the limits excluded; what is left starts clusters of its own.
-
-    Returns
-    -------
-    list of Cluster
-        By frequency.
+    Set-ups are taken by their number of modes; each is assigned to the clusters so far by the smallest sum of frequency difference (in
+    units of its limit) and 1 − MAC, pairs beyond the limits excluded; what is left starts clusters of its own.
     """
     from scipy.optimize import linear_sum_assignment
 

@@ -51,17 +51,13 @@ def union_of_dofs(models: Sequence[ModalModel]) -> tuple[Dof, ...]:
 def mean_with_scatter(values: NDArray[Any], variances: NDArray[Any], least: NDArray[Any] | float = 0.0) -> Mean:
     """Mean of values with their own variances and a common one between them (random effects; Paule & Mandel 1982).
 
-    The variance between is the one that makes the weighted scatter equal to its expectation, nought where the values agree as
-    their own variances say. It is known from few values only: the variance is widened by Student's t with the degrees of freedom of
-    Welch and Satterthwaite, so that ±1.96 standard deviations cover about 95 % (by simulation 91 to 97 % of eight values; of three 97 %
-    without scatter between them, 85 to 90 % with one or two times as much as their own, which three values often do not show).
+    The variance between is the one that makes the weighted scatter equal to its expectation, nought where the values agree as their own
+    variances say. It is known from few values only: the variance is widened by Student's t with the degrees of freedom of Welch and
+    Satterthwaite, so that ±1.96 standard deviations cover about 95 % (by simulation 91 to 97 % of eight values; of three 97 % without
+    scatter between them, 85 to 90 % with one or two times as much as their own, which three values often do not show).
 
-    Parameters
-    ----------
-    values, variances : (k,) arrays
-    least : (k,) array, optional
-        Variances the weights never go below, nor does the variance of the mean below what it would have with them: values that agree
-        better than they can agree by chance.
+    Weights take no variance below ``least``, nor is that of the mean below what it would be with these: values that agree better than they
+    can agree by chance.
     """
     y, own_variance = np.asarray(values, float), np.asarray(variances, float)
     v = np.maximum(own_variance, least)
@@ -91,21 +87,12 @@ def mean_with_scatter(values: NDArray[Any], variances: NDArray[Any], least: NDAr
 def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Sequence[float], blocks: Sequence[int]) -> Merged:
     """Modes of several set-ups joined (post-separate-estimation rescaling, Reynders, Magalhães, De Roeck & Cunha 2009).
 
-    Frequencies and dampings are weighted means (``mean_with_scatter``). The variance of each set-up is brought to the common
-    damping first: both grow with the damping as found (Au 2014), so that its own variance would give a set-up weight for too small a
-    damping; and the weights take none for better than a resonance seen at its best in so long a record: few blocks agree by chance.
-    Shapes get one complex factor a set-up, all together by least squares at the shared sensors (Au 2011).
+    Frequencies and dampings are weighted means (``mean_with_scatter``). The variance of each set-up is brought to the common damping first:
+    both grow with the damping as found (Au 2014), so that its own variance would give a set-up weight for too small a damping; and the
+    weights take none for better than a resonance seen at its best in so long a record [s]: few blocks agree by chance. Shapes get one
+    complex factor a set-up, all together by least squares at the shared sensors (Au 2011).
 
-    Parameters
-    ----------
-    models : sequence of ModalModel
-        One a set-up, each with a covariance.
-    clusters : sequence of Cluster
-        Set-up and mode of each merged mode.
-    seconds : sequence of float
-        Length of the records of each set-up [s].
-    blocks : sequence of int
-        Blocks each covariance comes from: it was widened by Student's t for them, all together have more.
+    Each covariance was widened by Student's t for the blocks it comes from: all together have more.
     """
     dofs = union_of_dofs(models)
     places = [DofIndex(dofs).match(m.dofs) for m in models]

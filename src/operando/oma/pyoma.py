@@ -24,13 +24,7 @@ MEMORY_BYTES = 1e9
 
 @contextmanager
 def contained_pyoma() -> Iterator[Any]:
-    """The module ``pyoma2.functions.ssi``, with NumPy's error state and the logging of the process left as they were, and no progress bars.
-
-    Raises
-    ------
-    MissingError
-        If pyOMA-2 cannot be imported.
-    """
+    """The module ``pyoma2.functions.ssi``, with NumPy's error state and the logging of the process left as they were, no progress bars."""
     state = np.geterr()
     logger, plots = logging.getLogger("pyoma2"), logging.getLogger("matplotlib")
     handlers, level, plot_level = list(logger.handlers), logger.level, plots.level
@@ -61,19 +55,10 @@ def contained_pyoma() -> Iterator[Any]:
 def pyoma_poles(
     data: NDArray[Any], sampling_hz: float, rows: int, max_order: int, references: NDArray[np.int_], method: str, max_damping: float = 0.25
 ) -> tuple[list[int], list[NDArray[Any]], list[NDArray[Any]], list[NDArray[Any]], int]:
-    """Poles of all even orders by pyOMA-2.
+    """Poles of all even orders by pyOMA-2 (``cov`` or ``dat``) of samples (r, n_samples).
 
-    Parameters
-    ----------
-    data : (r, n_samples) array
-    method : {"cov", "dat"}
-
-    Returns
-    -------
-    orders, hz, zeta, shapes : lists
-        As ``operando.stabilization.classify`` takes them.
-    samples : int
-        Samples used (the record is cut where it would not fit into memory).
+    Gives orders, frequencies, damping ratios and shapes as ``operando.stabilization.classify`` takes them, and the number of samples used:
+    the record is cut where it would not fit into memory.
     """
     r, n = data.shape
     used = int(min(n, MEMORY_BYTES / (16 * rows * r)))

@@ -43,13 +43,7 @@ class _Member:
 
 
 def group_setups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
-    """Records by the sensors they hold: those of the same sensors are runs of one set-up.
-
-    Raises
-    ------
-    DataError
-        If there is no record.
-    """
+    """Records by the sensors they hold: those of the same sensors are runs of one set-up."""
     if not records:
         raise DataError("no operating record given")
     groups: dict[frozenset[tuple[Node, str]], list[TimeRecord]] = {}
@@ -66,15 +60,6 @@ def fit_setups(groups: Sequence[Sequence[TimeRecord]], options: Options) -> Moda
     (``merge``): this is the answer. A set-up that lacks a mode of the others is asked again at its frequency. One subspace
     identification of all set-ups (``joint``) stands beside, fills shapes where a set-up does not see a mode, and shows how far the answer
     depends on the way. A set-up that cannot be used is left out and said.
-
-    Raises
-    ------
-    ConfigError
-        If standard deviations are not asked for.
-    DofError
-        If the set-ups share no sensor.
-    IdentificationError
-        If no set-up can be identified, no mode is in two of them, or one chosen by hand in none.
     """
     if options.method != "ssi-cov" or not options.uncertainty:
         raise ConfigError(
@@ -130,13 +115,7 @@ def _keys(m: _Member) -> set[tuple[Node, str]]:
 
 
 def _check_connected(members: list[_Member]) -> None:
-    """Marks set-ups that no shared sensor joins to the largest group as failed.
-
-    Raises
-    ------
-    DofError
-        If no two set-ups share a sensor.
-    """
+    """Marks set-ups that no shared sensor joins to the largest group as failed."""
     left = list(range(len(members)))
     groups: list[list[int]] = []
     while left:

@@ -49,13 +49,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything up to the stabilisation diagram of one set-up; ``modes`` concludes.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        Runs at the rate used, without sinusoids.
-    """
+    """Everything up to the stabilisation diagram of one set-up; ``modes`` concludes. Runs are at the rate used, without sinusoids."""
 
     responses: Responses
     prepared: Prepared
@@ -80,18 +74,7 @@ class Identification:
         return demote(stabilization, harmonic_poles(stabilization, self.harmonics, by_hand))
 
     def modes(self, extra_hz: Sequence[float] = ()) -> ModalModel:
-        """Modes with covariance.
-
-        Parameters
-        ----------
-        extra_hz : sequence of float
-            Frequencies [Hz] at which a pole is taken beside the automatic choice, within 1 %.
-
-        Raises
-        ------
-        IdentificationError
-            If there is no mode, or no pole near a frequency asked for.
-        """
+        """Modes with covariance; at ``extra_hz`` a pole is taken beside the automatic choice, within 1 %."""
         band, options = self.options.band, self.options
         stabilization = self.selection(extra_hz)
         if stabilization.selected_hz.size == 0:
@@ -188,13 +171,7 @@ def prepare(responses: Responses, runs: list[NDArray[Any]], rate: float, options
 
 
 def identify(records: Sequence[TimeRecord], options: Options) -> Identification:
-    """Stabilisation diagram of one set-up.
-
-    Raises
-    ------
-    DataError, DofError, IdentificationError
-        See ``fit_oma``.
-    """
+    """Stabilisation diagram of one set-up."""
     responses = gather_responses(records)
     runs, rate = at_suitable_rate(responses, options.band)
     decays = [find_decays(run, rate, options.band[0]) for run in runs]

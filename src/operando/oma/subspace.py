@@ -24,15 +24,7 @@ low-pass filter, leave their factor to rounding errors. A part of variance v of 
 class Factors:
     """Leading singular triplets of the (weighted) Hankel matrix, Lf⁻¹·H·Lp⁻ᵀ ≈ U·diag(s)·Vᵀ.
 
-    Parameters
-    ----------
-    left : (a, n) array
-        U, orthonormal.
-    s : (n,) array
-    right : (b, n) array
-        V, orthonormal.
-    left_factor, right_factor : (a, a), (b, b) lower triangular arrays or None
-        Lf and Lp; None stands for the identity.
+    ``left`` (a, n) is U, ``right`` (b, n) V; the lower triangles ``left_factor`` and ``right_factor`` are Lf and Lp, None for the identity.
     """
 
     left: NDArray[np.float64]
@@ -50,19 +42,8 @@ class Factors:
 def whitening_factor(correlations: NDArray[Any], rows: int, n_samples: int, past: bool) -> NDArray[np.float64]:
     """Cholesky factor of the block-Toeplitz covariance of stacked outputs, for canonical-variate weights.
 
-    Parameters
-    ----------
-    correlations : (n_lags + 1, r, r) array
-        Unbiased correlations of the stacked channels among themselves; tapered here by (1 − τ/n_samples), which makes them positive.
-    rows : int
-        Block rows.
-    past : bool
-        Outputs stacked backwards in time instead of forwards.
-
-    Raises
-    ------
-    IdentificationError
-        If the channels are linearly dependent beyond what the regularisation mends.
+    Unbiased correlations (n_lags + 1, r, r) of the stacked channels among themselves are tapered here by (1 − τ/n_samples), which makes
+    them positive. The ``past`` is stacked backwards in time instead of forwards.
     """
     r = correlations.shape[1]
     ahead = correlations[:rows] * (1 - np.arange(rows) / n_samples)[:, None, None]
@@ -86,23 +67,12 @@ def whitening_factor(correlations: NDArray[Any], rows: int, n_samples: int, past
 def factorise_weighted(
     correlations: NDArray[Any], references: NDArray[np.int_], rows: int, rank: int, n_samples: int, weighting: str = "cva"
 ) -> Factors:
-    """Hankel matrix of the correlations, weighted and factorised.
+    """Hankel matrix of the correlations (n_lags + 1, r, q) of a record of ``n_samples``, weighted and factorised to ``rank`` triplets.
 
-    ``cva`` whitens future and past (canonical variates; Van Overschee & De Moor 1996): weak low modes count as much as strong high
-    ones and the estimates come near to maximum likelihood; the singular values are canonical correlations between 0 and 1. With
-    fewer references than channels only the past is whitened, the future scaled by channel. ``none`` is plain SSI-cov.
-
-    Parameters
-    ----------
-    correlations : (n_lags + 1, r, q) array
-    references : (q,) int array
-        Rows used as references, increasing.
-    rows : int
-        Block rows and block columns.
-    rank : int
-        Triplets wanted.
-    n_samples : int
-        Length the correlations were estimated from.
+    ``cva`` whitens future and past (canonical variates; Van Overschee & De Moor 1996): weak low modes count as much as strong high ones and
+    the estimates come near to maximum likelihood; the singular values are canonical correlations between 0 and 1. With fewer references
+    than channels only the past is whitened, the future scaled by channel. ``none`` is plain SSI-cov. There are as many block rows as block
+    columns; rows used as references increase.
     """
     hankel = block_hankel(correlations, rows, rows)
     if weighting == "none":
@@ -143,14 +113,8 @@ def factorise(hankel: NDArray[Any], rank: int) -> Factors:
 class Realisation:
     """What all orders share: shift equation R·A = M of the largest order, of which each order is a leading block.
 
-    Parameters
-    ----------
-    left : (block_rows·r, n) array
-        Observability matrix (left singular vectors).
-    triangle, product : (n, n) arrays
-        R and Qᵀ·(shifted part) of the QR factorisation of all but the last block row.
-    basis : ((block_rows − 1)·r, n) array
-        Q.
+    ``left`` (block_rows·r, n) is the observability matrix (left singular vectors); ``triangle`` and ``product`` (n, n) are R and
+    Qᵀ·(shifted part) of the QR factorisation of all but the last block row, ``basis`` ((block_rows − 1)·r, n) is Q.
     """
 
     left: NDArray[np.float64]

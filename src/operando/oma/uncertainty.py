@@ -23,14 +23,9 @@ NORMAL_95 = 1.959964
 
 @dataclass(frozen=True)
 class Perturbations:
-    """First-order change of poles and shapes by each block's correlations replacing the mean.
+    """First-order change of poles λ [rad/s] (n_blocks, p) and shapes (n_blocks, r, p) by each block's correlations replacing the mean.
 
-    Parameters
-    ----------
-    lam : (n_blocks, p) complex array
-        Change of λ [rad/s].
-    shapes : (n_blocks, r, p) complex array
-        Change of the shapes as they come from ``poles_of_order`` (not normalised).
+    Shapes are those of ``poles_of_order``, not normalised.
     """
 
     lam: NDArray[np.complex128]
@@ -41,12 +36,7 @@ class Perturbations:
 class BlockProducts:
     """Each block's change of the weighted Hankel matrix ΔH by the singular vectors: what the perturbations of all orders share.
 
-    Parameters
-    ----------
-    right : (n_blocks, a, n) array
-        Lf⁻¹ΔH Lp⁻ᵀ V without the Lf⁻¹.
-    inside : (n_blocks, n, n) array
-        Uᵀ Lf⁻¹ΔH Lp⁻ᵀ V.
+    ``right`` (n_blocks, a, n) is Lf⁻¹ΔH Lp⁻ᵀ V without the Lf⁻¹, ``inside`` (n_blocks, n, n) Uᵀ Lf⁻¹ΔH Lp⁻ᵀ V.
     """
 
     right: NDArray[np.float32]
@@ -54,13 +44,7 @@ class BlockProducts:
 
 
 def block_products(correlations: BlockCorrelations, factors: Factors, rows: int) -> BlockProducts:
-    """Products of each block's change of the Hankel matrix with all singular vectors kept.
-
-    Raises
-    ------
-    ValueError
-        If the correlations hold no blocks.
-    """
+    """Products of each block's change of the Hankel matrix with all singular vectors kept."""
     if correlations.blocks is None:
         raise ValueError("correlations of blocks are needed")
     wl, vr = factors.left, factors.right
@@ -85,24 +69,12 @@ def perturb(
     sampling_hz: float,
     blocks: BlockProducts | None = None,
 ) -> Perturbations:
-    """Poles and shapes of one order perturbed by the correlations of each block.
+    """Poles and shapes of one order (``modes``: columns of ``poles``) perturbed by the correlations of each block.
 
-    The chain Hankel matrix → singular subspace → state matrix → eigenvalues is linearised as by Reynders, Pintelon & De Roeck (2008)
-    and Döhler & Mevel (2013), the residual of the shift equation and the coupling to the discarded singular vectors
-    included; whitening factors are held fixed (their change acts on the discarded part only). No covariance of the Hankel matrix is
-    formed: each block costs two products with the leading singular vectors, shared by all orders, and little for each mode.
-
-    Parameters
-    ----------
-    modes : sequence of int
-        Columns of ``poles`` wanted.
-    blocks : BlockProducts, optional
-        From :func:`block_products`, where several orders are asked.
-
-    Raises
-    ------
-    ValueError
-        If the correlations hold no blocks.
+    The chain Hankel matrix → singular subspace → state matrix → eigenvalues is linearised as by Reynders, Pintelon & De Roeck (2008) and
+    Döhler & Mevel (2013), the residual of the shift equation and the coupling to the discarded singular vectors included; whitening factors
+    are held fixed (their change acts on the discarded part only). No covariance of the Hankel matrix is formed: each block costs two
+    products with the leading singular vectors, shared by all orders (``blocks``), and little for each mode.
     """
     products = block_products(correlations, factors, rows) if blocks is None else blocks
     n, r = poles.order, realisation.n_channels
@@ -155,22 +127,10 @@ def _by_real(matrix: NDArray[np.float64], vectors: NDArray[np.complex128]) -> ND
 def normalised_changes(
     lam: NDArray[np.complex128], shapes: NDArray[np.complex128], change: Perturbations, derivative: NDArray[np.int_] | None = None
 ) -> NDArray[np.float64]:
-    """Changes of θ = [f, ζ, Re shapes, Im shapes] from changes of poles and raw shapes.
+    """Changes of θ = [f, ζ, Re shapes, Im shapes], as in ``ModalModel.covariance``, from changes of poles and raw shapes (r, p).
 
-    Shapes are taken in proportions of displacement (divided by λ to the power ``derivative`` of their channel), then scaled to
-    unit norm with the largest component real and positive.
-
-    Parameters
-    ----------
-    lam : (p,) array
-        Poles [rad/s].
-    shapes : (r, p) array
-        Raw shapes.
-
-    Returns
-    -------
-    (n_blocks, 2·p + 2·p·r) array
-        In the order of ``ModalModel.covariance``.
+    Shapes are taken in proportions of displacement (divided by λ [rad/s] to the power ``derivative`` of their channel), then scaled to unit
+    norm with the largest component real and positive. One row a block, (n_blocks, 2·p + 2·p·r).
     """
     size = np.abs(lam)
     along = (lam.conj() * change.lam).real
@@ -204,15 +164,10 @@ def student_widening(freedom: float) -> float:
 
 
 def covariance_of_mean(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance of the weighted mean of independent block values, widened so that ±1.96 standard deviations cover 95 % in spite of
-    the finite number of blocks (Student's t with n_blocks − 1 degrees of freedom).
+    """Covariance of the weighted mean of independent block values, from the deviation (n_blocks, k) of each; weights have the sum 1.
 
-    Parameters
-    ----------
-    changes : (n_blocks, k) array
-        Deviation of each block's value from the mean.
-    weights : (n_blocks,) array
-        Sum 1.
+    It is widened so that ±1.96 standard deviations cover 95 % in spite of the finite number of blocks (Student's t with n_blocks − 1
+    degrees of freedom).
     """
     nu = weights.size - 1
     scaled = changes * weights[:, None]

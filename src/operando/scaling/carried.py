@@ -30,17 +30,7 @@ SURE = 2.0
 
 @dataclass(frozen=True)
 class CommonShift:
-    """What operation does to modes it does not show.
-
-    Parameters
-    ----------
-    logarithm : float
-        Expected change of ln f; 0 where the pairs do not agree on one.
-    spread : float
-        Standard deviation of ln f of one mode about it.
-    pairs : int
-        Pairs behind it.
-    """
+    """What operation does to modes it does not show: ln f changes by ``logarithm`` (0 where the pairs do not agree), within ``spread``."""
 
     logarithm: float
     spread: float
@@ -53,15 +43,10 @@ class CommonShift:
 
 
 def common_shift(idle_hz: NDArray[np.float64], operating_hz: NDArray[np.float64]) -> CommonShift:
-    """Common shift of the highest pairs.
+    """Common shift of the highest pairs of modes of like shape.
 
-    A change of a part (a spring, a mass) moves some modes and not others: the mean shift is then within its error, and nothing is
-    assumed. A change of the whole (material, temperature, thickness) moves all alike; the modes above follow.
-
-    Parameters
-    ----------
-    idle_hz, operating_hz : (n,) arrays
-        Frequencies of paired modes of like shape.
+    A change of a part (a spring, a mass) moves some modes and not others: the mean shift is then within its error, and nothing is assumed.
+    A change of the whole (material, temperature, thickness) moves all alike; the modes above follow.
     """
     highest = np.argsort(idle_hz)[-NEIGHBOURS:]
     shift = np.log(operating_hz[highest] / idle_hz[highest])
@@ -76,13 +61,7 @@ def common_shift(idle_hz: NDArray[np.float64], operating_hz: NDArray[np.float64]
 
 
 def shape_change(idle: NDArray[np.float64], operating: NDArray[np.float64]) -> float:
-    """Relative rms change of the highest paired shapes, what a change of size alone makes left aside.
-
-    Parameters
-    ----------
-    idle, operating : (m, n) real arrays
-        Paired shapes by rising frequency, the operational ones freed of noise.
-    """
+    """Relative rms change of the highest paired shapes (m, n), freed of noise, what a change of size alone makes left aside."""
     if idle.shape[1] == 0:
         return 0.0
     a, b = idle[:, -NEIGHBOURS:], operating[:, -NEIGHBOURS:]
@@ -91,23 +70,13 @@ def shape_change(idle: NDArray[np.float64], operating: NDArray[np.float64]) -> f
 
 
 def lessened(idle_hz: NDArray[np.float64], pairs_hz: NDArray[np.float64], mass_share: float, below_hz: float = 0.0) -> NDArray[np.float64]:
-    """Factor on what the highest pairs show of change, for modes beyond them.
+    """Factor (k,) on what the highest pairs show of change, for modes beyond them.
 
     Above: a stiffness at a place changes ω² of every mode by as much, so relatively by less the higher the mode, as its participation in
-    other modes; a mass changes all alike. Below all pairs: a change of stiffness mixes mode k into mode j by
-    √(δ_j·δ_k)·ω_jω_k/(ω_k² − ω_j²) (``expansion``), little where ω_j lies far below; a change of mass Δm changes its size by Δm_jj/2,
-    where neighbours among the pairs are mixed by Δm_jk·ω²/(ω_k² − ω²). The mean square of both laws, weighted by what changed.
-
-    Parameters
-    ----------
-    idle_hz : (k,) array
-        Of the modes carried over.
-    pairs_hz : (n,) array
-        Of the paired idle modes.
-    mass_share : float
-        Part of what changed that is mass.
-    below_hz : float
-        Lower end of the band: a residual mode below it stands for modes anywhere up to there.
+    other modes; a mass changes all alike. Below all pairs: a change of stiffness mixes mode k into mode j by √(δ_j·δ_k)·ω_jω_k/(ω_k² −
+    ω_j²) (``expansion``), little where ω_j lies far below; a change of mass Δm changes its size by Δm_jj/2, where neighbours among the
+    pairs are mixed by Δm_jk·ω²/(ω_k² − ω²). The mean square of both laws, weighted by what changed. A residual mode below ``below_hz``, the
+    lower end of the band, stands for modes anywhere up to there.
     """
     if pairs_hz.size == 0:
         return np.ones(idle_hz.size)
@@ -130,16 +99,11 @@ def _mixing(hz: float, others: NDArray[np.float64]) -> float:
 
 
 def part_left(participation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Part of each idle mode that is in none of the operational modes found, 0 to 1.
+    """Part of each idle mode that is in none of the operational modes found, 0 to 1, from participations (n_idle, n_operating).
 
-    All operational modes together hold every idle mode once: ΣQ_kr² = 1 over r, for Q the orthonormal participations. An idle mode
-    without a partner is either still there, unseen (nothing of it is held), or spread over modes that were found (all of it is): carried
-    over, it would count twice.
-
-    Parameters
-    ----------
-    participation : (n_idle, n_operating) array
-        Columns of unit modal mass (or of unit modal stiffness in its own basis).
+    All operational modes together hold every idle mode once: ΣQ_kr² = 1 over r, for Q the orthonormal participations (of unit modal mass,
+    or of unit modal stiffness in its own basis). An idle mode without a partner is either still there, unseen (nothing of it is held), or
+    spread over modes that were found (all of it is): carried over, it would count twice.
     """
     unit = participation / np.maximum(np.linalg.norm(participation, axis=0), 1e-300)
     return np.asarray(np.clip(1 - np.sum(unit**2, axis=1), 0, 1))

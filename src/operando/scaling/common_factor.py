@@ -34,14 +34,10 @@ def common_factor(
     idle_std: NDArray[np.float64],
     operating_std: NDArray[np.float64],
 ) -> tuple[float, float, bool]:
-    """Common factor of paired frequencies.
+    """Weighted mean of operating over idle frequency, its standard deviation, and whether all modes have this factor.
 
-    Returns
-    -------
-    factor, std : float
-        Weighted mean of operating over idle frequency, and its standard deviation (widened where the scatter is larger than stated).
-    one : bool
-        Whether the ratios agree within their standard deviations (99 %), differ from 1 clearly, and each is precise enough to tell.
+    The deviation is widened where the scatter is larger than stated. All have it where the ratios agree within their standard deviations
+    (99 %), differ from 1 clearly, and each is precise enough to tell.
     """
     ratio = np.log(operating_hz / idle_hz)
     variance = (idle_std / idle_hz) ** 2 + (operating_std / operating_hz) ** 2 + REPEATABILITY**2
@@ -55,15 +51,7 @@ def common_factor(
 
 
 def sampling_rate_finding(pairing: Pairing, idle: ModalModel, operating: ModalModel) -> Finding | None:
-    """Finding where all operational modes lie at one factor from their idle partners.
-
-    Parameters
-    ----------
-    pairing : Pairing
-        Of the modes proper of both models.
-    idle, operating : ModalModel
-        Without residual modes.
-    """
+    """Finding where all operational modes lie at one factor from their idle partners."""
     alike = [p for p in pairing.pairs if p.idle is not None and p.mac >= SAME_SHAPE]
     stds = idle.frequency_std_hz, operating.frequency_std_hz
     if len(alike) < max(LEAST_MODES, MOST_OF_THEM * len(pairing.pairs)) or stds[0] is None or stds[1] is None:

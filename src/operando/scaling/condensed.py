@@ -181,21 +181,9 @@ def condensed_basis(shapes: ArrayLike, hz: ArrayLike, in_band: ArrayLike) -> Con
 
 
 def best_addition(shapes: ArrayLike, rows: ArrayLike, modes: ArrayLike) -> tuple[int, float] | None:
-    """The DOF that lowers κ most if it is measured as well.
+    """The DOF (row) that lowers κ most if it is measured as well, with κ; None where every DOF with a known shape is measured already.
 
-    Parameters
-    ----------
-    shapes : (M, n) real array
-        At all DOFs whose idle shapes are known.
-    rows : int array
-        DOFs measured now.
-    modes : int array
-        Idle modes of the condensed mass.
-
-    Returns
-    -------
-    (row, κ) or None
-        None where every DOF with a known shape is measured already.
+    ``shapes`` (M, n) are at all DOFs whose idle shapes are known, ``rows`` are measured now.
     """
     a, now, chosen = np.asarray(shapes, float), np.asarray(rows, int), np.asarray(modes, int)
     others = np.setdiff1d(np.arange(a.shape[0]), now)

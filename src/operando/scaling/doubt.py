@@ -21,16 +21,11 @@ DIAGONAL = 3.0
 
 @dataclass(frozen=True)
 class ScaleDoubt:
-    """Standard deviations of ln φ̂² of each operational mode from what may have changed.
+    """Standard deviations (n,) of ln φ̂² of each operational mode from what may have changed.
 
-    Parameters
-    ----------
-    common : (n,) array
-        Common to all modes, with its sign: a change of mass that goes with the change of stiffness the frequencies show.
-    own : (n,) array
-        Of each mode by itself: a change at a place.
-    mass, stiffness : float
-        Rms off-diagonals of the operational modes in the idle mass and stiffness beyond what noise explains.
+    ``common`` is common to all modes, with its sign: a change of mass that goes with the change of stiffness the frequencies show; ``own``
+    of each mode by itself: a change at a place. ``mass`` and ``stiffness`` are rms off-diagonals of the operational modes in the idle mass
+    and stiffness beyond what noise explains.
     """
 
     common: NDArray[np.float64]
@@ -46,18 +41,11 @@ class ScaleDoubt:
 
 
 def scale_doubt(idle: NDArray[np.float64], operating: NDArray[Any], task: Task, kept: str) -> ScaleDoubt:
-    """How far mass and stiffness can both have changed.
+    """How far mass and stiffness can both have changed, where the scale assumes one of them (``kept``) to be as at rest.
 
-    The scale from the modal mass and that from the modal stiffness differ by the change of stiffness less the change of mass of each
-    mode, d = κ − μ. With μ and κ normal about zero and their sizes as the off-diagonals show them, the second moment of μ given d is
-    d²·r²/(1 + r²), r² the ratio of the two mean squares.
-
-    Parameters
-    ----------
-    idle : (m, n_idle) array, residual modes included
-    operating : (m, n) complex array
-    kept : {"mass", "stiffness"}
-        What the scale assumes to be as at rest.
+    The scale from the modal mass and that from the modal stiffness differ by the change of stiffness less the change of mass of each mode,
+    d = κ − μ. With μ and κ normal about zero and their sizes as the off-diagonals show them, the second moment of μ given d is d²·r²/(1 +
+    r²), r² the ratio of the two mean squares. Idle shapes (m, n_idle) include residual modes.
     """
     turned = real_shapes(operating)[0]
     q = expand(idle, turned, task.prior)[0]

@@ -53,18 +53,9 @@ def choose_method(
 ) -> Choice:
     """Choose the scaling method by evidence.
 
-    The expansion uses every idle mode and the frequencies, and beats the paper's methods in the median and the worst case of
-    random plates (``benchmarks/scaling_rules.py``); what must be decided is what stayed the same, mass or stiffness:
+    The expansion uses every idle mode (m, n_idle), residual ones included, and the frequencies, and beats the paper's methods in the median
+    and the worst case of random plates (``benchmarks/scaling_rules.py``); what must be decided is what stayed the same, mass or stiffness:
     modes of the running machine are orthogonal in whichever did.
-
-    Parameters
-    ----------
-    idle : (m, n_idle) array, residual modes included
-    operating : (m, n) complex array
-    mac_values : (n,) array
-        MAC of each pair.
-    available : set of str
-        Methods that can be applied.
     """
     turned = real_shapes(operating)[0]
     q = expand(idle, turned, task.prior)[0]

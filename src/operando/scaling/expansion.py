@@ -132,9 +132,7 @@ def make_prior(
     Parameters
     ----------
     idle : (m, n_idle) real array of unit modal mass, residual modes included
-    idle_hz : (n_idle,) array [Hz]
     unit_shapes : (m, n_operating) real array, columns of unit length
-    operating_hz, damping : (n_operating,) arrays
     partners : (n_operating,) int array
         Idle partner or −1.
     noise : (n_operating, m, m) array, optional
@@ -287,20 +285,9 @@ def participation_spread(idle: NDArray[np.float64], unit_shapes: NDArray[np.floa
 
 
 def expand(idle: Array, unit_shapes: Array, prior: Prior) -> tuple[Array, Array, Array]:
-    """Posterior mean of q and of the shape.
+    """Posterior mean of q (…, n_idle, n_operating) and of the shape (…, m, n_operating): Φq plus the likely part of the remainder.
 
-    Parameters
-    ----------
-    idle : (..., m, n_idle) real array
-    unit_shapes : (..., m, n_operating) real array
-
-    Returns
-    -------
-    q : (..., n_idle, n_operating) array
-    shape : (..., m, n_operating) array
-        Φq plus the likely part of the remainder.
-    rest : (..., n_operating) array
-        Squared length of that remainder.
+    The squared length of that remainder (…, n_operating) comes last.
     """
     lead = np.broadcast_shapes(idle.shape[:-2], unit_shapes.shape[:-2])
     m, n = unit_shapes.shape[-2:]
@@ -321,14 +308,8 @@ def expand(idle: Array, unit_shapes: Array, prior: Prior) -> tuple[Array, Array,
 def orthogonalised(q: Array, shape: Array, mixing: NDArray[np.float64], weight: Array) -> tuple[Array, Array]:
     """Take noise out that shows as non-orthogonality: q_r − Σ_s A_sr·(q_sᵀWq_r)·q_s, and the shapes alike.
 
-    Parameters
-    ----------
-    q : (..., n_idle, n_operating) array
-        Columns of unit modal mass (or stiffness).
-    shape : (..., m, n_operating) array
-    mixing : (n_operating, n_operating) array
-    weight : (..., n_idle, n_operating) array
-        W as a factor on each column: 1 for mass; ω_k²/(ω_s·ω_r) needs ω_k/ω_r on each.
+    Columns of q are of unit modal mass (or stiffness). ``weight`` (…, n_idle, n_operating) is W as a factor on each column: 1 for mass;
+    ω_k²/(ω_s·ω_r) needs ω_k/ω_r on each.
     """
     weighted = q * weight
     gram = np.swapaxes(weighted, -1, -2) @ weighted
@@ -337,19 +318,10 @@ def orthogonalised(q: Array, shape: Array, mixing: NDArray[np.float64], weight: 
 
 
 def unit_size(idle: Array, q: Array, shape: Array, rest: Array, weight: Array, mixing: NDArray[np.float64], in_sight: Array) -> Array:
-    """Shapes of unit modal mass: scaled, freed of non-orthogonality, scaled again.
+    """Shapes of unit modal mass from what :func:`expand` gives: scaled, freed of non-orthogonality, scaled again.
 
-    What no idle mode explains counts in the size with the typical size of a mode at the sensors.
-
-    Parameters
-    ----------
-    idle, q, shape, rest : arrays
-        As from :func:`expand`.
-    weight : (..., n_idle, n_operating) array
-        1 where mass is as at rest, ω_k/ω_o where stiffness is.
-    mixing : (n_operating, n_operating) array
-    in_sight : int array
-        Idle modes whose size at the sensors is typical.
+    What no idle mode explains counts in the size with the typical size of a mode at the sensors, of the idle modes ``in_sight``. ``weight``
+    is 1 where mass is as at rest, ω_k/ω_o where stiffness is.
     """
     typical = np.median(np.sum(idle[..., :, in_sight] ** 2, axis=-2), axis=-1)
     extra = rest / typical[..., None]
@@ -366,14 +338,8 @@ def unit_size(idle: Array, q: Array, shape: Array, rest: Array, weight: Array, m
 def orthogonality(q: NDArray[np.float64], idle_hz: NDArray[np.float64], spread: NDArray[np.float64] | None = None) -> tuple[float, float]:
     """Rms off-diagonal of the operational modes' normalised mass and stiffness matrices, both in the idle structure.
 
-    Zero for the first if mass did not change, for the second if stiffness did not.
-
-    Parameters
-    ----------
-    q : (n_idle, n_operating) array
-    idle_hz : (n_idle,) array
-    spread : (n_operating, n_operating) array, optional
-        Posterior variance of the part of mode s in mode r; pairs of which little is known count little.
+    Zero for the first if mass did not change, for the second if stiffness did not. ``spread`` (n_operating, n_operating) is the posterior
+    variance of the part of mode s in mode r; pairs of which little is known count little.
     """
     n = q.shape[1]
     if n < 2:
@@ -390,23 +356,12 @@ def orthogonality(q: NDArray[np.float64], idle_hz: NDArray[np.float64], spread: 
 def prior_spread(
     idle: NDArray[np.float64], unit_shapes: NDArray[np.float64], size_factor: NDArray[np.float64], prior: Prior
 ) -> list[NDArray[np.float64]]:
-    """What the prior leaves open: deviations of each scaled shape that the smoothing may have taken away.
+    """What the prior leaves open: a factor (m, k) of the covariance of each scaled shape that the smoothing may have taken away.
 
-    For q ~ N(0, P) and gain K the error of the posterior mean that is not noise is (KΦ − 1)q + Kρ; with the noise part
-    (from the covariance of the shapes) it makes up the posterior covariance. The width of the prior is not known: every trial
-    width adds what it leaves open and how far its shape lies from the one chosen, as likely as it is.
-
-    Parameters
-    ----------
-    idle : (m, n_idle) array
-    unit_shapes : (m, n_operating) array
-    size_factor : (n_idle, n_operating) array
-        Weight of q² in the squared size (1 for mass, (ω_k/ω_o)² for stiffness).
-
-    Returns
-    -------
-    list of (m, k) array
-        One an operational mode; its outer product is the covariance to add.
+    For q ~ N(0, P) and gain K the error of the posterior mean that is not noise is (KΦ − 1)q + Kρ; with the noise part (from the covariance
+    of the shapes) it makes up the posterior covariance. The width of the prior is not known: every trial width adds what it leaves open and
+    how far its shape lies from the one chosen, as likely as it is. ``size_factor`` (n_idle, n_operating) is the weight of q² in the squared
+    size: 1 for mass, (ω_k/ω_o)² for stiffness.
     """
     out = []
     for r in range(unit_shapes.shape[1]):

@@ -31,21 +31,8 @@ def flip_probability(
 ) -> NDArray[np.float64]:
     """Probability (n,) that the MAC with the partner lies on the other side of ε, to first order in the noise of both shapes.
 
-    Parameters
-    ----------
-    idle : (m, n_idle) array
-    turned : (m, n) array
-        Operational shapes on the real axis, of unit length.
-    partners : (n,) int array
-        Idle partner or −1.
-    noise : (n, m, m) array or None
-        Covariance of ``turned``.
-    model : ModalModel
-        The idle model, for the standard deviations of its shapes.
-    rows : list of int
-        Its DOFs.
-    threshold : float
-        ε.
+    Operational shapes are ``turned`` to the real axis and of unit length, ``noise`` (n, m, m) is their covariance; that of the idle shapes
+    comes from the model, whose DOFs are ``rows``.
     """
     out = np.zeros(turned.shape[1])
     std = model.terms.shape_std
@@ -71,16 +58,7 @@ def class_flips(
 ) -> NDArray[np.float64]:
     """Covariance (size, size) of [f, ζ, shapes mode by mode] to add: each likely flip by its probability and how far it moves the shapes.
 
-    Parameters
-    ----------
-    idle, operating : arrays
-        As for :func:`operando.scaling.methods.scaled_shapes`.
-    likely : (n,) array
-        Probability of each flip.
-    size : int
-        Parameters of the scaled model.
-    modes : int
-        Its terms, those carried over included.
+    ``modes`` counts the terms of the scaled model, those carried over included.
     """
     out = np.zeros((size, size))
     flips = np.flatnonzero(likely > NEGLIGIBLE) if method in CLASSED else np.zeros(0, int)

@@ -101,13 +101,7 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
 
 
 def _check_size(name: str, model: ModalModel) -> None:
-    """Shapes whose squares and products are numbers.
-
-    Raises
-    ------
-    DataError
-        If one is not finite, zero throughout, or of a size that no measurement has.
-    """
+    """Shapes whose squares and products are numbers."""
     size = np.max(np.abs(model.shapes), axis=0, initial=0.0)
     wrong = np.flatnonzero(~(np.isfinite(size) & (size > 1 / LARGEST) & (size < LARGEST)))
     if wrong.size:

@@ -39,17 +39,6 @@ Array = NDArray[Any]
 def noise_only(method: str) -> list[Finding]:
     """The finding that the intervals of a method asked for by name hold noise only; none for the others.
 
-    Parameters
-    ----------
-    method : str
-        One of ``operando.scaling.METHODS``.
-
-    Returns
-    -------
-    list of Finding
-
-    Examples
-    --------
     >>> [f.kind for f in noise_only("eq15")], noise_only("expansion")
     (['noise_only_interval'], [])
     """
@@ -145,8 +134,6 @@ class Task:
         Idle modes of the condensed mass.
     idle_hz, operating_hz : arrays [Hz]
         Leading dimensions as the shapes.
-    prior : Prior
-        Of the expansion.
     """
 
     partners: NDArray[np.int_]
@@ -227,25 +214,9 @@ def scale_expansion(idle: Array, operating: Array, task: Task, keep: str) -> Arr
 
 
 def scaled_shapes(method: str, idle: Array, operating: Array, task: Task) -> Array:
-    """Real operational shapes of unit modal mass by a named method.
+    """Real operational shapes of unit modal mass by a named method, from complex ones (…, m, n_operating) of arbitrary scale.
 
-    Parameters
-    ----------
-    method : str
-        One of ``METHODS``.
-    idle : (..., m, n_idle) real array of unit modal mass
-    operating : (..., m, n_operating) complex array of arbitrary scale
-
-    Returns
-    -------
-    (..., m, n_operating) real array
-
-    Raises
-    ------
-    ConfigError
-        If the method is unknown.
-    IdentificationError
-        If the method cannot be applied to these shapes.
+    Idle shapes (…, m, n_idle) are real and of unit modal mass.
     """
     if method not in METHODS:
         raise ConfigError(f"scaling method {method!r} is none of {', '.join(('auto', *METHODS))}")

@@ -23,16 +23,9 @@ BEYOND = 1.1
 
 @dataclass(frozen=True)
 class Missing:
-    """Modes beyond the band that stand for what was not found.
+    """Modes beyond the band, at ``hz``, that stand for what was not found: ``mixture`` (n_idle, k) is the amount of each idle mode in each.
 
-    Parameters
-    ----------
-    mixture : (n_idle, k) array
-        Amount of each idle mode in each.
-    hz : (k,) array
-        Where they are put.
-    idle_hz : tuple of float
-        Frequencies of the idle modes they are mostly made of.
+    ``idle_hz`` are the idle modes they are mostly made of.
     """
 
     mixture: NDArray[np.float64]
@@ -68,26 +61,10 @@ def missing_modes(
 ) -> Missing:
     """Combinations of idle modes that must be in operational modes which were not found.
 
-    All operational modes together are a basis of the space of the idle ones (:func:`operando.scaling.carried.part_left`), so what the
-    found ones leave of a combination of idle modes is in others. Those were not found in the band, so they are put beyond it: the upper
-    end where frequencies rose, the lower one where they fell. Where exactly, and with which shape, is not known.
-
-    Parameters
-    ----------
-    participation : (n_idle, n_operating) array
-        Of idle modes in the operational modes found.
-    idle_hz : (n_idle,) array
-    held : int array
-        Idle modes proper that are not carried over by themselves.
-    band_hz : (float, float) or None
-        Band in which operational modes were looked for; None leaves all out.
-    rising : bool
-        Whether operation raised the frequencies.
-
-    Raises
-    ------
-    IdentificationError
-        If a participation is not finite.
+    All operational modes together are a basis of the space of the idle ones (:func:`operando.scaling.carried.part_left`), so what the found
+    ones leave of a combination of idle modes is in others. Those were not found in the band, so they are put beyond it: the upper end where
+    frequencies rose, the lower one where they fell. Where exactly, and with which shape, is not known. ``held`` are idle modes proper that
+    are not carried over by themselves; without a band in which operational modes were looked for all are left out.
     """
     if not np.all(np.isfinite(participation)):
         raise IdentificationError(
@@ -109,13 +86,7 @@ def missing_modes(
 
 
 def with_missing(model: ModalModel, missing: Missing, idle_shapes: NDArray[np.float64]) -> ModalModel:
-    """The model with those modes as further residual terms; their shapes as uncertain as they are large.
-
-    Parameters
-    ----------
-    idle_shapes : (m, n_idle) array
-        At the DOFs of the model.
-    """
+    """The model with those modes as further residual terms; their shapes as uncertain as they are large."""
     k = missing.hz.size
     if k == 0:
         return model

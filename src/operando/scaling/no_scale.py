@@ -15,13 +15,7 @@ FAULTS = ("swapped", "inverted", "drive_point_sign")
 
 
 def no_scale(idle: ModalModel, findings: Sequence[Finding]) -> tuple[str, str, bool] | None:
-    """Cause, advice, and whether a fault is to blame, where the idle modes are not of unit modal mass in SI; None where they are.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        About the idle state.
-    """
+    """Cause, advice, and whether a fault is to blame, where the idle modes are not of unit modal mass in SI; None where they are."""
     if idle.scaling == "unit_modal_mass" and idle.si:
         return None
     by_kind = {f.kind: f for f in reversed(findings)}

@@ -29,11 +29,7 @@ LEAST_MODES = 2
 class Complexity:
     """How complex each operational shape is, and how much of it symmetric damping or noise could explain.
 
-    Parameters
-    ----------
-    share, by_damping, noise : (n,) arrays
-        Norm of the imaginary part over the norm of the shape, on the principal axis.
-    unexplained : (n,) bool array
+    As the norm of the imaginary part over the norm of the shape, on the principal axis.
     """
 
     share: NDArray[np.float64]
@@ -49,20 +45,13 @@ def complexity(
     scaled: NDArray[np.float64],
     noise: NDArray[np.float64] | None,
 ) -> Complexity:
-    """Compare the imaginary part of each shape with what symmetric damping can make.
+    """Compare the imaginary part of each complex shape (m, n) with what symmetric damping can make.
 
-    A positive semidefinite damping matrix has |C_kr| ≤ √(C_kk·C_rr) with C_kk = 2ζ_kω_k in modal coordinates, so the
-    imaginary participation of mode k in mode r is at most about ω_r·2√(ζ_kω_k·ζ_rω_r)/|ω_k² − ω_r²| (first order). A skew
-    coupling has no such bound: shapes turn complex while damping stays.
-
-    Parameters
-    ----------
-    operating : (m, n) complex array
-    hz, damping : (n_all,) arrays
-        Operational modes first, then the idle modes carried over.
-    scaled : (m, n_all) real array of unit modal mass
-    noise : (m, n) array or None
-        Standard deviation of each part (real or imaginary) of shapes rotated to real and brought to unit length.
+    A positive semidefinite damping matrix has |C_kr| ≤ √(C_kk·C_rr) with C_kk = 2ζ_kω_k in modal coordinates, so the imaginary
+    participation of mode k in mode r is at most about ω_r·2√(ζ_kω_k·ζ_rω_r)/|ω_k² − ω_r²| (first order). A skew coupling has no such bound:
+    shapes turn complex while damping stays. ``scaled`` real shapes (m, n_all) of unit modal mass are those of the operational modes, then
+    of the idle modes carried over; ``noise`` is the standard deviation of each part (real or imaginary) of shapes rotated to real and
+    brought to unit length.
     """
     n = operating.shape[1]
     factor = real_shapes(operating)[1]

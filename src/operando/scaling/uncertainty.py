@@ -83,22 +83,8 @@ def scaled_covariance(
 ) -> NDArray[np.float64] | None:
     """Covariance of [f, ζ, shapes mode by mode] of operational modes followed by the idle terms carried over.
 
-    A model without a covariance counts as exact; None where neither carries one, or the model is too large.
-
-    Parameters
-    ----------
-    idle : ModalModel
-        Residual terms included.
-    operating : ModalModel
-        Without residual terms.
-    rows, operating_rows : list of int
-        Common DOFs in each model.
-    signs : (m,) array
-        Sense of the operational DOFs against the idle ones.
-    task : Task
-        Its indices count all idle terms.
-    carried : int array
-        Idle terms carried over.
+    A model without a covariance counts as exact; None where neither carries one, or the model is too large. ``idle`` has its residual
+    terms, ``operating`` none; ``signs`` are the sense of the operational DOFs (``operating_rows``) against the idle ones (``rows``).
     """
     n, k, m = operating.n_modes, carried.size, len(rows)
     total = (n + k) * (2 + m)
@@ -145,8 +131,6 @@ def with_unseen_change(
 
     Parameters
     ----------
-    covariance : (p, p) array
-        Of ``modal``.
     modal : ModalModel
         Operational modes; the idle terms carried over are its residual terms.
     n : int
@@ -154,10 +138,8 @@ def with_unseen_change(
     imaginary : (m, n) array
         Imaginary part of each operational shape at its scale, as far as noise does not explain it: an error of the real shape that
         shows in the FRF with the same size.
-    frequency_spread : (k,) array
-        Relative standard deviation of the frequencies carried over.
-    shape_change : (k,) array
-        Relative size of the change of their shapes.
+    frequency_spread, shape_change : (k,) arrays
+        Relative standard deviation of the frequencies carried over, and relative size of the change of their shapes.
     doubt : ScaleDoubt or None
         What a change of mass (or of stiffness, where that was kept) leaves of the scale.
     """

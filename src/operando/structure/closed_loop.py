@@ -34,11 +34,6 @@ def substeps(top_hz: float, sampling_hz: float, max_slope: float, laws: Sequence
     """Steps a sample for lines up to ``top_hz`` and laws of a ``max_slope`` [rad/s]: the frequency a body would have on them alone.
 
     With dry friction the step that takes hold is solved for, so its kinks alone ask for shorter ones.
-
-    Raises
-    ------
-    DataError
-        If it would take too many.
     """
     per_cycle = STICK_PER_CYCLE if any(law.kind == "coulomb_friction" for law in laws) else PER_CYCLE
     fine = max(1, int(np.ceil(per_cycle * top_hz / sampling_hz)), int(np.ceil(max_slope / (SHARE * sampling_hz))))
@@ -182,16 +177,9 @@ class LoopRecord:
 
 
 def follow(tracks: Sequence[LoopRecord], variants: Sequence[Sequence[ForceLaw]], seconds: float) -> list[list[Real]]:
-    """Restoring forces (p, N·fine) that the closed loop makes over windows, put together; one a variant and track.
+    """Restoring forces (p, N·fine) that the closed loop makes over windows, put together; one a variant (a law a place) and track.
 
-    Parameters
-    ----------
-    tracks : sequence of LoopRecord
-        Records of one sampling rate.
-    variants : sequence of sequences of ForceLaw
-        Each holds one law a place.
-    seconds : float
-        Length of a window; infinite follows each record as a whole.
+    All records have one sampling rate; infinite ``seconds`` of a window follow each record as a whole.
     """
     seconds = min(seconds, max(t.n_samples / t.sampling_hz for t in tracks))
     parts = [t.windows(seconds) for t in tracks]

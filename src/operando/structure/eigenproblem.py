@@ -83,18 +83,10 @@ def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
     """Poles and complex shapes of the idle modes and residual terms under effects of dynamic stiffness.
 
     The eigenproblem of M λ² + C λ + K in modal coordinates, with the effects' internal ones; where an effect is no M, C, K, or acts where
-    shapes lag, all zeros of det D(λ) at once by Ehrlich's and Aberth's iteration. Poles without oscillation are told in the details.
+    shapes lag, all zeros of det D(λ) at once by Ehrlich's and Aberth's iteration. Poles without oscillation are told in the details, a
+    :class:`RunningDetails`.
 
-    Returns
-    -------
-    ModalModel
-        Complex, "unscaled" shapes, sorted by frequency; residual terms where residual idle terms make most of them, sorted too;
-        ``in_band`` where a mode lies in the base's band. ``details`` is a :class:`RunningDetails`.
-
-    Raises
-    ------
-    IdentificationError
-        If the poles under an effect that is no M, C, K are not found.
+    Shapes are complex, "unscaled", sorted by frequency; residual terms, sorted too, are those that residual idle terms make most of.
     """
     form, rest = modal_matrices(base, placed)
     lag = _lag(base)
@@ -192,11 +184,6 @@ def _refined(form: Quadratic, rest: Acting, start: Array) -> Array:
 
     One at a time, Newton's method takes several starting values to the same zero and loses the others; Ehrlich's and Aberth's step
     N/(1 − N Σ 1/(λ − λ_j)) with N = 1/tr(D⁻¹D') counts a zero that another value has reached, and its conjugate, as taken.
-
-    Raises
-    ------
-    IdentificationError
-        If a value does not settle.
     """
     value = start * (1 + 1e-7 * np.arange(start.size))  # equal ones would stay together
     moving = np.ones(value.size, bool)

@@ -68,13 +68,7 @@ def has_restoring_force(effect: Effect) -> bool:
 
 
 def law_of(effect: Effect, idle: ModalModel) -> tuple[ForceLaw, Real]:
-    """Force law of an effect, and the weights (m,) of the DOFs along which it acts.
-
-    Raises
-    ------
-    ConfigError
-        If it has none.
-    """
+    """Force law of an effect, and the weights (m,) of the DOFs along which it acts."""
     if not has_restoring_force(effect):
         raise ConfigError(f"{effect.kind} has no restoring force of displacement and velocity, so it cannot be simulated in time")
     if not effect.location:

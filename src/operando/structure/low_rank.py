@@ -47,18 +47,10 @@ def update_variance(
 ) -> NDArray[np.float64]:
     """Variance E|ΔH|² [m²/N²] of updated receptances (o, j, lines), to first order in the modal parameters, from their covariance.
 
-    With A = I − H0_·B T Bᵀ, T = (I + δZ H_BB)⁻¹ δZ, and A' its mirror image on the right, dH = A dH0 A' exactly.
-
-    Parameters
-    ----------
-    responses, references : (rows, signs) of the DOFs
-    weights : (k, n_dofs) array
-        The places' coordinates.
-    left, right : (o, k, lines) and (k, j, lines) arrays
-        H0_oB T and T H0_Bj.
-    shared : (n_parameters, p) array and (p, o, j, lines) array, optional
-        Covariance of the modal parameters with p other numbers, and the derivative of the receptances by these; adds the part that
-        both have in common (which can be negative: the result is then no variance yet).
+    With A = I − H0_·B T Bᵀ, T = (I + δZ H_BB)⁻¹ δZ, and A' its mirror image on the right, dH = A dH0 A' exactly: ``left`` (o, k, lines) and
+    ``right`` (k, j, lines) are H0_oB T and T H0_Bj. ``shared`` is the covariance (n_parameters, p) of the modal parameters with p other
+    numbers, and the derivative (p, o, j, lines) of the receptances by these; it adds the part that both have in common (which can be
+    negative: the result is then no variance yet).
     """
     assert base.covariance is not None
     n, m, phi = base.terms.n, len(base.dofs), np.asarray(base.terms.shapes)

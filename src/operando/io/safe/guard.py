@@ -41,33 +41,13 @@ def _stamp(path: Path) -> _Stamp:
 
 
 def trust(path: str | Path, kind: str) -> None:
-    """Take a file as tried: this process wrote it, or has tried it. A change of the file ends that.
-
-    Parameters
-    ----------
-    path : path
-    kind : {"hdf5", "matlab", "tdms"}
-        Library that reads it.
-    """
+    """Take a file as tried: this process wrote it, or has tried it. A change of the file ends that."""
     with contextlib.suppress(OSError):
         _trusted.add((kind, _stamp(Path(path))))
 
 
 def try_apart(path: str | Path, kind: str) -> None:
-    """Read a file in the helper process; return if that ends well.
-
-    Parameters
-    ----------
-    path : path
-    kind : {"hdf5", "matlab", "tdms"}
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, the library ended the process, or the limits of time or memory are passed.
-    MissingError
-        If there is no such file, or the helper cannot be started.
-    """
+    """Read a file in the helper process; return if that ends well."""
     path = Path(path)
     try:
         stamp = _stamp(path)

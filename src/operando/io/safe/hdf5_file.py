@@ -62,17 +62,7 @@ def try_hdf5(path: Path, alive: Callable[[], None] = lambda: None) -> None:
     """Check every link and the size of every dataset, then read once what the library has to take apart.
 
     Numbers that lie in the file as they are in memory are one read at a known place, and need no trial: so the bulk of a large file is
-    read once only, by whoever asked for it.
-
-    Parameters
-    ----------
-    alive : callable
-        Called at every object: the trial goes on, however many there are.
-
-    Raises
-    ------
-    FormatError
-        If a link leads elsewhere, data are stored in another file, something is linked twice, or sizes do not fit.
+    read once only, by whoever asked for it. ``alive`` is called at every object: the trial goes on, however many there are.
     """
     import h5py
 
@@ -165,13 +155,7 @@ def _read(dataset: h5py.Dataset, path: Path, alive: Callable[[], None]) -> None:
 
 
 def _lies_plainly(dataset: h5py.Dataset, path: Path) -> bool:
-    """Whether numbers stand in one stretch of the file, not compressed.
-
-    Raises
-    ------
-    FormatError
-        If that stretch reaches beyond the end of the file.
-    """
+    """Whether numbers stand in one stretch of the file, not compressed."""
     import h5py
 
     properties = dataset.id.get_create_plist()

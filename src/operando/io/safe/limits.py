@@ -15,22 +15,7 @@ FREE_BYTES = 64 << 20
 
 
 def check_growth(needed: int, size: int, where: str, what: str) -> None:
-    """Refuse content that is out of proportion to its file.
-
-    Parameters
-    ----------
-    needed : int
-        Bytes that the content says it takes.
-    size : int
-        Bytes of the file.
-    where, what : str
-        File, and the content in words.
-
-    Raises
-    ------
-    FormatError
-        If the content needs more than ``GROWTH`` times the file and ``FREE_BYTES``.
-    """
+    """Refuse content of ``needed`` bytes that is out of proportion to its file of ``size`` bytes."""
     if needed > GROWTH * size + FREE_BYTES:
         raise FormatError(
             f"{what} would take {needed / 1e6:.0f} MB of memory, the file has {size / 1e6:.3g} MB",

@@ -105,15 +105,7 @@ class Columns:
 
 
 def scaled(whole: NDArray[np.float64], power: NDArray[np.intp]) -> NDArray[np.float64]:
-    """whole·10^power, rounded once: the bits that ``float`` makes of the text.
-
-    Parameters
-    ----------
-    whole : float array
-        Whole numbers from 0 to below 2⁵³.
-    power : int array
-        From −113 to 99.
-    """
+    """whole·10^power, rounded once: the bits that ``float`` makes of the text. Whole numbers 0 to below 2⁵³, powers −113 to 99."""
     if not power.size:
         return whole * 1.0
     least, most = power.min(), power.max()

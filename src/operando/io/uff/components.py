@@ -83,10 +83,7 @@ def _labelled(ids: tuple[str, ...], name: str, dof: Dof | None) -> tuple[Dof | N
 class NodeNumbers:
     """Numbers for the nodes of components in sets that hold numbers only: component k of the list counts from k·base on.
 
-    Parameters
-    ----------
-    base : int
-        A power of ten above all numbers; 0 where there is no component.
+    ``base`` is a power of ten above all numbers; 0 where there is no component.
     """
 
     components: tuple[str, ...] = ()

@@ -22,11 +22,6 @@ def dictionaries(obj: TimeRecord | Frf | ModalModel | Geometry) -> list[dict[str
     They say what the file of :func:`operando.io.write_uff` says: 58 for records and FRFs with coherence and standard deviation (double
     precision, ASCII; ``binary`` may be set to 1), 55 for modes and residual terms, 2411, 82 and 2412 for geometries. Numbers are SI where
     the units are known; a dictionary holds all digits, a set 55 that is written from it six.
-
-    Raises
-    ------
-    DataError
-        If something has no form in the sets that pyuff knows.
     """
     if isinstance(obj, TimeRecord):
         return [_function(f) for f in record_functions(obj)]

@@ -44,17 +44,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Header58:
-    """Header of one measured function.
-
-    Parameters
-    ----------
-    stated_bytes : int
-        Byte count of the 58b header.
-    ids : tuple of str
-        The five ID lines.
-    start, step : float
-        First abscissa and increment of an even axis, restored from the printed digits.
-    """
+    """Header of one measured function: the five ID lines, and start and step of an even axis as restored from the printed digits."""
 
     binary: bool
     big_endian: bool
@@ -107,13 +97,7 @@ class Header58:
 
 
 def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
-    """Header whose first line (``58`` or ``58b``) starts at ``at``, and the offset of the data.
-
-    Raises
-    ------
-    FormatError
-        If the header is damaged, or states what is not supported.
-    """
+    """Header whose first line (``58`` or ``58b``) starts at ``at``, and the offset of the data."""
     lines, data = _lines(buffer, at, 12)
     if len(lines) < 12:
         raise FormatError(f"the header of the function ends after {len(lines)} of 12 lines")

@@ -11,13 +11,7 @@ _NUMBER = re.compile(r"^\s*[+-]?(\d*)\.?(\d*)(?:[EeDd]?([+-]?\d+))?\s*$")
 
 
 def parse_float(text: str) -> float:
-    """A number as Fortran prints it: ``1.5D-03``, ``1.5-103``, ``1.5E-03``.
-
-    Raises
-    ------
-    ValueError
-        If the text is no number.
-    """
+    """A number as Fortran prints it: ``1.5D-03``, ``1.5-103``, ``1.5E-03``."""
     clean = text.strip().replace("D", "E").replace("d", "e")
     try:
         return float(clean)
@@ -41,21 +35,8 @@ def restore_step(text: str, points: int, spectral: bool = False) -> float:
     """The step that was meant by its printed digits.
 
     Of all numbers that print as ``text``, the one whose own value, whose inverse (sampling rate) or whose span over the
-    points is the roundest. The value never leaves the rounding interval of the printed digits.
-
-    Parameters
-    ----------
-    text : str
-        The step as printed.
-    points : int
-        Number of points on the axis.
-    spectral : bool
-        A frequency step: the span over a power of two of lines is half a sampling rate, and as good as a round inverse.
-
-    Raises
-    ------
-    ValueError
-        If the text is no number.
+    points is the roundest. The value never leaves the rounding interval of the printed digits. Of a frequency step (``spectral``) the span
+    over a power of two of lines is half a sampling rate, and as good as a round inverse.
     """
     step = parse_float(text)
     if not (math.isfinite(step) and step > 0):
@@ -80,13 +61,7 @@ def restore_step(text: str, points: int, spectral: bool = False) -> float:
 
 @lru_cache(maxsize=256)
 def restore_start(text: str, step: float) -> float:
-    """The first abscissa: the multiple of the step that prints as ``text``, else the number as printed.
-
-    Raises
-    ------
-    ValueError
-        If the text is no number.
-    """
+    """The first abscissa: the multiple of the step that prints as ``text``, else the number as printed."""
     start = parse_float(text)
     if start == 0 or not math.isfinite(start) or not step > 0:
         return start

@@ -38,13 +38,7 @@ def read_header(raw: bytes) -> FileHeader:
 
 
 def read_units(raw: bytes) -> tuple[UnitSystem, str]:
-    """Unit factors of a set 164, and what contradicts its own unit code in words (empty where nothing does).
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read, or a factor is not positive.
-    """
+    """Unit factors of a set 164, and what contradicts its own unit code in words (empty where nothing does)."""
     lines = body_lines(raw)
     if len(lines) < 2:
         raise FormatError(f"set 164 has {len(lines)} lines, expected at least 2")
@@ -72,13 +66,7 @@ def read_units(raw: bytes) -> tuple[UnitSystem, str]:
 
 
 def read_qualifiers(raw: bytes) -> Qualifiers:
-    """Qualifiers of a function, set 1858.
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read.
-    """
+    """Qualifiers of a function, set 1858."""
     lines = body_lines(raw)
     if len(lines) < 4:
         raise FormatError(f"set 1858 has {len(lines)} lines, expected at least 4")

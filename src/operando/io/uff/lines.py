@@ -51,24 +51,12 @@ def _line(line: bytes) -> str:
 
 
 def floats_of(line: str) -> list[float]:
-    """Numbers of a line: Fortran exponents, numbers without a blank before their sign.
-
-    Raises
-    ------
-    ValueError
-        If a word is no number.
-    """
+    """Numbers of a line: Fortran exponents, numbers without a blank before their sign."""
     return [parse_float(t) for t in _GLUED.sub(" ", _D_EXPONENT.sub("E", line)).split()]
 
 
 def ints_of(line: str, count: int, what: str) -> list[int]:
-    """The first whole numbers of a line, at least so many.
-
-    Raises
-    ------
-    FormatError
-        If there are fewer, or a word is none.
-    """
+    """The first whole numbers of a line, at least so many."""
     words = line.split()
     try:
         numbers = [int(word) for word in words[:count]]

@@ -28,15 +28,7 @@ CHECK_DB = 0.05
 
 @dataclass(frozen=True)
 class Check:
-    """One value of the FRFs that all sets 55 of a model make together: whoever reads them can prove the sum.
-
-    Parameters
-    ----------
-    dof : Dof
-        Driving point.
-    value : complex
-        Accelerance [(m/s²)/N].
-    """
+    """One value of the FRFs (accelerance [(m/s²)/N] at a driving point) that all sets 55 of a model make together: it proves the sum."""
 
     dof: Dof
     frequency_hz: float

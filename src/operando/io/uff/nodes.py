@@ -38,13 +38,7 @@ class ElementSet:
 
 
 def read_nodes(number: int, raw: bytes) -> NodeSet:
-    """Nodes of a set 15 or 2411.
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read.
-    """
+    """Nodes of a set 15 or 2411."""
     lines = [line for line in body_lines(raw) if line.strip()]
     try:
         words = [value for line in lines for value in floats_of(line)]
@@ -64,13 +58,7 @@ def read_nodes(number: int, raw: bytes) -> NodeSet:
 
 
 def read_traces(raw: bytes) -> tuple[str, int, list[tuple[int, ...]]]:
-    """Name, colour and polylines of a set 82: zeros lift the pen.
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read, or does not hold as many nodes as it states.
-    """
+    """Name, colour and polylines of a set 82: zeros lift the pen."""
     lines = body_lines(raw)
     if len(lines) < 2:
         raise FormatError(f"set 82 has {len(lines)} lines, its header alone has 2")
@@ -94,13 +82,7 @@ def read_traces(raw: bytes) -> tuple[str, int, list[tuple[int, ...]]]:
 
 
 def read_elements(raw: bytes) -> ElementSet:
-    """Lines and faces of a set 2412: rods and beams, triangles and quadrilaterals (corner nodes; solids are counted).
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read.
-    """
+    """Lines and faces of a set 2412: rods and beams, triangles and quadrilaterals (corner nodes; solids are counted)."""
     rows = [line for line in body_lines(raw) if line.strip()]
     lines: list[tuple[int, ...]] = []
     line_colors: list[int] = []

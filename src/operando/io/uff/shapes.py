@@ -20,10 +20,7 @@ _COMPLEX_DATA = (5, 6)
 
 @dataclass(frozen=True)
 class ModeSet:
-    """One set 55 or 2414: a shape with its pole.
-
-    ``values`` is (n_nodes, n_per_node), real or complex; ``kind`` the analysis type (2 normal mode, 3 and 7 complex mode).
-    """
+    """One set 55 or 2414: a shape (n_nodes, n_per_node) with its pole; ``kind`` is the analysis type (2 normal, 3 and 7 complex mode)."""
 
     kind: int
     nodes: tuple[int, ...]
@@ -36,13 +33,7 @@ class ModeSet:
 
 
 def read_mode(raw: bytes) -> ModeSet:
-    """One set 55: a real normal mode or a complex mode.
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read, or is of another analysis type than 2, 3, 7.
-    """
+    """One set 55: a real normal mode or a complex mode."""
     lines = body_lines(raw)
     if len(lines) < 8:
         raise FormatError(f"set 55 has {len(lines)} lines, its header alone has 8")
@@ -63,13 +54,7 @@ def read_mode(raw: bytes) -> ModeSet:
 
 
 def read_analysis(raw: bytes) -> ModeSet:
-    """One set 2414 with data at nodes: a real normal mode or a complex mode.
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read, or holds something else.
-    """
+    """One set 2414 with data at nodes: a real normal mode or a complex mode."""
     lines = body_lines(raw)
     if len(lines) < 13:
         raise FormatError(f"set 2414 has {len(lines)} lines, its header alone has 13")

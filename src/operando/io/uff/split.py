@@ -30,24 +30,9 @@ _NEWLINE, _RETURN, _BLANK_CHARACTER = b"\n\r "
 class RawSet:
     """Where one set lies in its file.
 
-    Parameters
-    ----------
-    index : int
-        Position in the file, from 0.
-    number : int
-        Set type (58, 15, …); 0 where none is stated.
-    binary : bool
-        Whether it is a ``58b``.
-    start, body, end, stop : int
-        Offsets of the opening separator, of the line with the set type, of the closing separator, and after it.
-    payload : (int, int) or None
-        Offsets of the numbers of a measured function.
-    header : Header58 or None
-        Header of a measured function that could be read.
-    problem : str
-        Why the set cannot be used; empty if nothing is wrong so far.
-    notes : tuple of str
-        Deviations from the standard that were put right.
+    ``number`` is the set type (58, 15, …), 0 where none is stated. ``start, body, end, stop`` are the offsets of the opening separator, of
+    the line with the set type, of the closing separator, and after it; ``payload`` those of the numbers of a measured function, ``header``
+    its header where it could be read. ``problem`` says why the set cannot be used, ``notes`` which deviations were put right.
     """
 
     index: int
@@ -107,13 +92,7 @@ def outside_sets(buffer: Buffer, sets: list[RawSet]) -> list[tuple[int, int]]:
 
 
 def split_sets(buffer: Buffer, where: str = "") -> list[RawSet]:
-    """All sets of a file in their order; ``buffer`` in one form (:func:`operando.io.uff.textform.in_one_form`).
-
-    Raises
-    ------
-    FormatError
-        If there is no set.
-    """
+    """All sets of a file in their order; ``buffer`` in one form (:func:`operando.io.uff.textform.in_one_form`)."""
     first = find_first_set(buffer)
     if first is None:
         raise FormatError("no UFF set found", where=where, hint="a set starts with a line '    -1' and a line with its number")

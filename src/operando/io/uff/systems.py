@@ -20,11 +20,6 @@ def read_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
     """Systems of a set 18, each with the number of the system it is given in.
 
     Each stands there by its origin, a point on its x axis, and a point in its xz plane.
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read.
     """
     lines = body_lines(raw)
     systems = []
@@ -47,13 +42,7 @@ def read_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
 
 
 def read_part_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
-    """Systems of a set 2420: three rows with the axes and one with the origin, in global coordinates.
-
-    Raises
-    ------
-    FormatError
-        If the set cannot be read, or the axes are not at right angles.
-    """
+    """Systems of a set 2420: three rows with the axes and one with the origin, in global coordinates."""
     lines = body_lines(raw)
     if len(lines) < 2 or (len(lines) - 2) % 6:
         raise FormatError(f"set 2420 has {len(lines)} lines, not two and six a system")
@@ -85,22 +74,10 @@ def _axes(origin: NDArray[np.float64], on_x: NDArray[np.float64], on_xz: NDArray
 def to_global(
     coordinates: NDArray[np.float64], numbers: Sequence[int], systems: Mapping[int, CoordinateSystem]
 ) -> tuple[NDArray[np.float64], list[int]]:
-    """Coordinates in the global Cartesian system.
+    """Coordinates (n, 3) in the global Cartesian system, and the systems that could not be applied (not known, or spherical).
 
-    Parameters
-    ----------
-    coordinates : (n, 3) array
-        Each in its own system; angles of cylindrical ones in degrees.
-    numbers : (n,) ints
-        System of each node, 0 is global.
-    systems : mapping of number to CoordinateSystem
-        Those that are defined in the global system.
-
-    Returns
-    -------
-    coordinates : (n, 3) array
-    left : list of int
-        Numbers of systems that could not be applied (not known, or spherical): taken as global.
+    Each is given in the system of its number, 0 is global; angles of cylindrical ones in degrees. ``systems`` are defined in the global
+    system. What could not be applied is taken as global.
     """
     out = np.array(coordinates, float)
     owner = np.asarray(numbers)

@@ -31,13 +31,8 @@ def utf16_of(head: bytes) -> str | None:
 def in_one_form(buffer: Buffer) -> tuple[Buffer, str]:
     """The file as bytes in an ASCII-like code with line ends that hold a line feed, and what was done to it in words.
 
-    A file that needs nothing is returned as it is, without a copy.
-
-    Raises
-    ------
-    FormatError
-        If the text is no valid UTF-16, or line ends are lone carriage returns in a file with binary sets, where they cannot be told
-        from data.
+    A file that needs nothing is returned as it is, without a copy. Lone carriage returns in a file with binary sets are refused: they
+    cannot be told from data.
     """
     head = bytes(buffer[:HEAD_BYTES])
     codec = utf16_of(head)

@@ -33,13 +33,7 @@ def natural_dtype(header: Header58) -> np.dtype[Any]:
 
 
 def fill_real(stream: IO[bytes], buffer: Buffer, raw: RawSet, out: NDArray[Any]) -> None:
-    """Read a real, evenly spaced function straight into ``out`` (points,), without a copy where the format allows it.
-
-    Raises
-    ------
-    FormatError
-        If the set does not hold the declared number of points.
-    """
+    """Read a real, evenly spaced function straight into ``out`` (points,), without a copy where the format allows it."""
     header = _header(raw)
     if header.binary and not header.is_complex and header.even and out.flags.c_contiguous and out.itemsize == stored_dtype(header).itemsize:
         assert raw.payload is not None
@@ -60,18 +54,7 @@ def fill_real(stream: IO[bytes], buffer: Buffer, raw: RawSet, out: NDArray[Any])
 
 
 def read_values(buffer: Buffer, raw: RawSet) -> tuple[NDArray[np.float64] | None, NDArray[Any]]:
-    """Abscissa (None if even) and ordinate of a function.
-
-    Returns
-    -------
-    abscissa : (points,) float array or None
-    ordinate : (points,) float or complex array
-
-    Raises
-    ------
-    FormatError
-        If the set does not hold the declared number of points.
-    """
+    """Abscissa (points,), None if even, and ordinate (points,) of a function."""
     header = _header(raw)
     if raw.payload is None:
         raise FormatError("the set holds no data")

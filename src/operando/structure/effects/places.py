@@ -35,11 +35,6 @@ def spline_weights(points: ArrayLike, targets: ArrayLike) -> Array:
 
     The spline is that of the dimension the points span (cubic on a line, thin-plate on a plane, biharmonic in space); what
     lies off that line or plane is dropped.
-
-    Raises
-    ------
-    DataError
-        If there are too few points for their dimension.
     """
     x, t = np.atleast_2d(np.asarray(points, float)), np.atleast_2d(np.asarray(targets, float))
     centre, axes, size = _frame(x)
@@ -58,15 +53,7 @@ def spline_weights(points: ArrayLike, targets: ArrayLike) -> Array:
 
 
 def position_weights(idle: ModalModel, geometry: Geometry, position: ArrayLike, direction: str) -> Array:
-    """Weights (n_dofs,) of the sensors of one axis that give the motion at a position [m] in a direction such as "+Z".
-
-    Raises
-    ------
-    DofError
-        If no sensor measures that axis.
-    DataError
-        If there are too few sensors to interpolate.
-    """
+    """Weights (n_dofs,) of the sensors of one axis that give the motion at a position [m] in a direction such as "+Z"."""
     wanted = Dof.parse(f"0{direction}")
     there = {i: at for i, d in enumerate(idle.dofs) if d.axis == wanted.axis and (at := geometry.position(d.node)) is not None}
     if not there:
@@ -81,19 +68,9 @@ def position_weights(idle: ModalModel, geometry: Geometry, position: ArrayLike, 
 
 
 def place_weights(effect: Effect, idle: ModalModel, geometry: Geometry | None = None) -> Array:
-    """The place's coordinates as weights of the measured DOFs: x = W @ displacements.
+    """The place's coordinates as weights of the measured DOFs (n_coordinates, n_dofs): x = W @ displacements.
 
-    Returns
-    -------
-    (n_coordinates, n_dofs) array
-        One row for a DOF or a difference, two for a skew kind, one for each measured direction of a node.
-
-    Raises
-    ------
-    DofError
-        If a DOF is not measured.
-    DataError
-        If a place without a sensor has no geometry.
+    One row for a DOF or a difference, two for a skew kind, one for each measured direction of a node.
     """
     definition = effect.definition
     if effect.position is not None:

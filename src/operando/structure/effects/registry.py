@@ -136,13 +136,7 @@ def catalogue() -> dict[str, EffectKind]:
 
 
 def kind_of(name: str) -> EffectKind:
-    """The kind of this name.
-
-    Raises
-    ------
-    ConfigError
-        If there is none; names the nearest.
-    """
+    """The kind of this name."""
     if isinstance(name, str) and name in _KINDS:
         return _KINDS[name]
     near = get_close_matches(str(name), _KINDS, 1, 0.5)
