@@ -10,19 +10,6 @@ from pathlib import Path
 def natural_order(path: Path) -> list[int | str]:
     """Sorting key of paths: run2 before run10.
 
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Returns
-    -------
-    list
-        Texts and numbers of the name, in turn.
-
-    Examples
-    --------
-    >>> from pathlib import Path
     >>> [p.name for p in sorted([Path("run10.uff"), Path("run2.uff")], key=natural_order)]
     ['run2.uff', 'run10.uff']
     """
@@ -30,27 +17,7 @@ def natural_order(path: Path) -> list[int | str]:
 
 
 def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file, read in chunks.
-
-    Parameters
-    ----------
-    path : path
-        File.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = pathlib.Path(folder) / "record.txt"
-    ...     written = path.write_text("abc")
-    ...     file_hash(path)[:16]
-    'ba7816bf8f01cfea'
-    """
+    """SHA-256 of a file, read in chunks."""
     digest = hashlib.sha256()
     with open(path, "rb") as stream:
         while chunk := stream.read(1 << 20):

@@ -24,24 +24,7 @@ def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = 
 
 
 def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
-    """Complex numbers of two parts; an infinite part leaves the other one as it is, which a product with i would not.
-
-    Parameters
-    ----------
-    real : array
-        Real parts.
-    imaginary : array
-        Imaginary parts.
-
-    Returns
-    -------
-    complex array
-
-    Examples
-    --------
-    >>> complex_of([1.0, 2.0], [0.0, -1.0]).tolist()
-    [(1+0j), (2-1j)]
-    """
+    """Complex numbers of two parts; an infinite part leaves the other one as it is, which a product with i would not."""
     first = np.asarray(real, float)
     out = np.empty(first.shape, complex)
     out.real, out.imag = first, imaginary
@@ -49,31 +32,7 @@ def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
 
 
 def numbers_of(values: Any, what: str, hint: str) -> NDArray[np.float64]:
-    """Numbers as they are given, or an error that says what they are for.
-
-    Parameters
-    ----------
-    values : number or array_like
-        What was given.
-    what : str
-        What it is, in words.
-    hint : str
-        What to give instead.
-
-    Returns
-    -------
-    float array
-
-    Raises
-    ------
-    DataError
-        If they are none.
-
-    Examples
-    --------
-    >>> numbers_of([5, 70], "band", "give [low, high] in Hz")
-    array([ 5., 70.])
-    """
+    """Numbers as they are given, or an error that says ``what`` they are for and, as ``hint``, what to give instead."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
@@ -81,33 +40,7 @@ def numbers_of(values: Any, what: str, hint: str) -> NDArray[np.float64]:
 
 
 def number_of(value: Any, what: str, hint: str, least: float = -np.inf) -> float:
-    """One finite number, or an error that says what it is for.
-
-    Parameters
-    ----------
-    value : number
-        What was given.
-    what : str
-        What it is, in words.
-    hint : str
-        What to give instead.
-    least : float, optional
-        The least that it may be.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    DataError
-        If it is none, not finite, several, or too small.
-
-    Examples
-    --------
-    >>> number_of(512, "sampling rate", "give the samples in a second [Hz]")
-    512.0
-    """
+    """One finite number, not below ``least``, or an error that says ``what`` it is for and what to give instead."""
     number = numbers_of(value, what, hint)
     if number.ndim or not np.isfinite(number):
         raise DataError(f"{what} {value!r:.200} is not one finite number", hint=hint)
@@ -117,53 +50,15 @@ def number_of(value: Any, what: str, hint: str, least: float = -np.inf) -> float
 
 
 def order_of(value: Any) -> int | None:
-    """The largest order of a stabilisation diagram; None where it is chosen from the data.
-
-    Parameters
-    ----------
-    value : int or None
-        What was given.
-
-    Returns
-    -------
-    int or None
-
-    Raises
-    ------
-    DataError
-        If it is no whole number from 1 on.
-
-    Examples
-    --------
-    >>> order_of(60), order_of(None)
-    (60, None)
-    """
+    """The largest order of a stabilisation diagram, a whole number from 1 on; None where it is chosen from the data."""
     if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
         raise DataError(f"max_order = {value!r:.60} is no order", hint="give a whole number from 1 on, for example 60")
     return None if value is None else int(value)
 
 
 def frequencies_of(values: Any, what: str) -> tuple[float, ...]:
-    """Frequencies named by hand [Hz], one alone as a list of one.
+    """Positive frequencies named by hand [Hz], one alone as a list of one; None is none.
 
-    Parameters
-    ----------
-    values : number or array_like, optional
-        What was given; None is none.
-    what : str
-        What it is, in words.
-
-    Returns
-    -------
-    tuple of float
-
-    Raises
-    ------
-    DataError
-        If they are no list of positive numbers.
-
-    Examples
-    --------
     >>> frequencies_of(27.2, "modes_hz"), frequencies_of([27.2, 58.5], "modes_hz")
     ((27.2,), (27.2, 58.5))
     """
@@ -175,27 +70,7 @@ def frequencies_of(values: Any, what: str) -> tuple[float, ...]:
 
 
 def band_limits(band: Any) -> tuple[float, float]:
-    """Both limits of a band [Hz], whatever their order.
-
-    Parameters
-    ----------
-    band : (float, float)
-        Band.
-
-    Returns
-    -------
-    (float, float)
-
-    Raises
-    ------
-    DataError
-        If it is no pair of numbers.
-
-    Examples
-    --------
-    >>> band_limits([5, 70])
-    (5.0, 70.0)
-    """
+    """Both limits of a band [Hz], whatever their order."""
     limits = numbers_of(band, "band", "give [low, high] in Hz")
     if limits.shape != (2,):
         raise DataError(f"band {band!r} is no pair of frequencies", hint="give [low, high] in Hz")
@@ -203,27 +78,7 @@ def band_limits(band: Any) -> tuple[float, float]:
 
 
 def ordered_band(band: Any) -> tuple[float, float]:
-    """Limits of a band [Hz], the lower one first.
-
-    Parameters
-    ----------
-    band : (float, float)
-        Band.
-
-    Returns
-    -------
-    (float, float)
-
-    Raises
-    ------
-    DataError
-        If it is no pair of numbers, or the limits are reversed.
-
-    Examples
-    --------
-    >>> ordered_band([5, 70])
-    (5.0, 70.0)
-    """
+    """Limits of a band [Hz]; an error where the lower one is not first."""
     low, high = band_limits(band)
     if low > high:
         raise DataError(f"the band of {low:g} to {high:g} Hz is reversed", hint=f"give the lower limit first: ({high:g}, {low:g})")
@@ -231,27 +86,7 @@ def ordered_band(band: Any) -> tuple[float, float]:
 
 
 def positive_band(band: Any) -> tuple[float, float]:
-    """Limits of a band that is analysed [Hz]: not below 0 Hz, the upper one above the lower one.
-
-    Parameters
-    ----------
-    band : (float, float)
-        Band.
-
-    Returns
-    -------
-    (float, float)
-
-    Raises
-    ------
-    DataError
-        If it is no such band.
-
-    Examples
-    --------
-    >>> positive_band([5, 70])
-    (5.0, 70.0)
-    """
+    """Limits of a band that is analysed [Hz]: not below 0 Hz, the upper one above the lower one."""
     low, high = ordered_band(band)
     if low < 0:
         raise DataError(f"the band of {low:g} to {high:g} Hz begins below 0 Hz", hint="give [low, high] in Hz, from 0 on")
@@ -261,29 +96,7 @@ def positive_band(band: Any) -> tuple[float, float]:
 
 
 def bands_of(bands: Any, what: str) -> tuple[tuple[float, float], ...]:
-    """Bands in a list [Hz], each with its lower limit first.
-
-    Parameters
-    ----------
-    bands : sequence of (float, float)
-        What was given.
-    what : str
-        What it is, in words.
-
-    Returns
-    -------
-    tuple of (float, float)
-
-    Raises
-    ------
-    DataError
-        If it is no list of bands.
-
-    Examples
-    --------
-    >>> bands_of([(24, 25), (49, 50)], "exclude_bands")
-    ((24.0, 25.0), (49.0, 50.0))
-    """
+    """Bands in a list [Hz], each with its lower limit first."""
     hint = "give a list of bands in Hz, as [(24, 25), (49, 50)]"
     pairs = numbers_of(bands, what, hint)
     if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):

@@ -87,17 +87,6 @@ def _kind_of(value: Any) -> str:
 def listed(value: Any) -> Any:
     """What is listed as a tuple; anything else as it is, for :func:`check_fields` to refuse.
 
-    Parameters
-    ----------
-    value : object
-        What was given.
-
-    Returns
-    -------
-    tuple or object
-
-    Examples
-    --------
     >>> listed([1, 2]), listed("1, 2")
     ((1, 2), '1, 2')
     """
@@ -105,23 +94,7 @@ def listed(value: Any) -> Any:
 
 
 def check_fields(made: Fielded) -> None:
-    """Refuse an object that holds a value of another type than its class declares.
-
-    Parameters
-    ----------
-    made : dataclass instance
-        The object.
-
-    Raises
-    ------
-    DataError
-        If a field is of another type.
-
-    Examples
-    --------
-    >>> from operando.dof import Dof
-    >>> check_fields(Dof(3, "Z"))
-    """
+    """Refuse a dataclass instance that holds a value of another type than its class declares."""
     declared = _declared(type(made))
     for field in fields(made):
         value = getattr(made, field.name)
@@ -198,15 +171,9 @@ def _tuple_is_of(value: Any, parts: tuple[Any, ...], loose: bool) -> bool:
 def explain_arguments(package: str) -> None:
     """Where a call of a public function or method of a package ends in a bare error, say which argument is of another kind than it takes.
 
-    A call that works costs nothing, and errors with words of their own stay as they are.
+    A call that works costs nothing, and errors with words of their own stay as they are. A package calls it at its end, as
+    ``explain_arguments(__name__)``.
 
-    Parameters
-    ----------
-    package : str
-        Name of the package; it calls this at its end, as ``explain_arguments(__name__)``.
-
-    Examples
-    --------
     >>> import operando.quality
     >>> operando.quality.check_record("run1.uff")
     Traceback (most recent call last):

@@ -89,24 +89,7 @@ SHOWN = 3
 
 
 def once_of_a_sense(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings without what each file says again of a drive point whose polarity the fit of the modes reversed.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        Findings of all states of a test.
-
-    Returns
-    -------
-    list of Finding
-
-    Examples
-    --------
-    >>> said = Finding("drive_point_sign", "negative residues", "error", dof="30+Z")
-    >>> again = Finding("inverted", "drive point 30+Z/30+Z: 90 % of the dissipated power is negative", "error", dof="30+Z")
-    >>> [f.message for f in once_of_a_sense([said, again])]
-    ['negative residues']
-    """
+    """The findings of a test without what each file says again of a drive point whose polarity the fit of the modes reversed."""
     found = list(findings)
     reversed_at = {f.dof for f in found if f.kind == "drive_point_sign" and f.severity == "error"}
     return [f for f in found if not (f.kind == "inverted" and f.dof in reversed_at and "drive point" in f.message)]
@@ -139,25 +122,7 @@ def group_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def with_further(findings: Sequence[Finding], further: Iterable[Finding]) -> list[Finding]:
-    """The findings, then those further ones that are not among them and are not counted in a group of them.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        May hold groups made by :func:`group_findings`.
-    further : iterable of Finding
-        Those of the objects, say, whose findings were gathered.
-
-    Returns
-    -------
-    list of Finding
-
-    Examples
-    --------
-    >>> found = [Finding("overload", f"{n} samples at full scale", "warning", file=f"run{n}.uff") for n in range(3)]
-    >>> len(with_further(group_findings(found), found))
-    1
-    """
+    """The findings, then those further ones that are not among them and are not counted in a group of them (:func:`group_findings`)."""
     counted = {_likeness(f, f.message[: group.start()]) for f in findings if (group := _GROUP.search(f.message))}
     return list(dict.fromkeys([*findings, *(f for f in further if _likeness(f, f.message) not in counted)]))
 

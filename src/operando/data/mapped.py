@@ -152,23 +152,8 @@ class MappedSamples(NDArrayOperatorsMixin):
 
 
 def pieces(data: Any, length: int = PIECE) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Consecutive stretches of all rows, (first sample, samples): arrays of at most ``length`` samples.
+    """Consecutive stretches of all rows (rows, n_samples), as (first sample, samples): arrays of at most ``length`` samples.
 
-    Parameters
-    ----------
-    data : object
-        Array or samples in a file (rows, n_samples).
-    length : int, optional
-        Largest number of samples of one piece.
-
-    Yields
-    ------
-    int, array
-        First sample and samples.
-
-    Examples
-    --------
-    >>> import numpy as np
     >>> [(first, part.shape) for first, part in pieces(np.zeros((2, 5)), 3)]
     [(0, (2, 3)), (3, (2, 2))]
     """
@@ -225,32 +210,7 @@ class _RowReader:
 
 
 def mapped_rows(file: StoredFile, rows: Sequence[StoredRow], samples: int, dtype: DTypeLike) -> MappedSamples:
-    """Channels that lie one after the other in a file.
-
-    Parameters
-    ----------
-    file : StoredFile
-        The file.
-    rows : sequence of StoredRow
-        Where each row lies and how its numbers are scaled.
-    samples : int
-        Samples of each row.
-    dtype : DTypeLike
-        Type in which samples are given.
-
-    Returns
-    -------
-    MappedSamples
-
-    Examples
-    --------
-    >>> import pathlib, tempfile, numpy as np
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = pathlib.Path(folder) / "samples.bin"
-    ...     written = path.write_bytes(np.arange(6, dtype="<i2").tobytes())
-    ...     np.asarray(mapped_rows(StoredFile(path), [StoredRow(4, np.dtype("<i2"), 0.1)], 3, np.float64)).round(1).tolist()
-    [[0.2, 0.3, 0.4]]
-    """
+    """Channels that lie one after the other in a file, so many samples each, given in a type of floats."""
     return MappedSamples(_RowReader(file, tuple(rows), np.dtype(dtype)), (len(rows), samples), dtype)
 
 
@@ -287,26 +247,6 @@ def filling(shape: tuple[int, int], dtype: DTypeLike) -> Iterator[_Filled]:
 
     What is larger than ``MAPPED_FROM`` lies in a temporary file (in the folder that TMPDIR names).
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and samples.
-    dtype : DTypeLike
-        Type of the samples.
-
-    Yields
-    ------
-    callable
-        The function.
-
-    Raises
-    ------
-    WriteError
-        If the temporary file cannot be written.
-
-    Examples
-    --------
-    >>> import numpy as np
     >>> with filling((2, 4), np.float64) as put:
     ...     put(1, 2, np.full(2, 5.0))
     >>> np.asarray(put.samples)[1, 2:].tolist()
@@ -371,23 +311,7 @@ def _stretches(data: Any) -> Iterator[tuple[int, NDArray[Any]]]:
 
 
 def row_statistics(data: NDArray[Any] | MappedSamples) -> RowStatistics:
-    """Statistics of the rows of a record, in one pass; made once for samples in a file.
-
-    Parameters
-    ----------
-    data : object
-        Array or samples in a file (rows, n_samples).
-
-    Returns
-    -------
-    RowStatistics
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> row_statistics(np.array([[1.0, -3.0, 2.0]])).finite.tolist()
-    [True]
-    """
+    """Statistics of the rows of a record, in one pass; made once for samples in a file."""
     if not isinstance(data, MappedSamples):
         return _row_statistics(data)
     if data._statistics is None:

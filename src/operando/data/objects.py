@@ -38,86 +38,24 @@ class Named(Protocol):
 
 
 def plots() -> Any:
-    """The package of figures, with matplotlib behind it.
-
-    Returns
-    -------
-    module
-        ``operando.plots``.
-
-    Examples
-    --------
-    >>> plots().__name__
-    'operando.plots'
-    """
+    """The package of figures, ``operando.plots``, with matplotlib behind it."""
     return importlib.import_module("operando.plots")
 
 
 def names_text(names: Iterable[object], most: int = MOST_NAMES) -> str:
-    """``1+Z, 2+Z, 3+Z, … (13)``: the first few of a list of names, and how many there are.
-
-    Parameters
-    ----------
-    names : sequence of object
-        The names.
-    most : int, optional
-        How many are shown.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> names_text(["1+Z", "2+Z", "3+Z", "4+Z", "5+Z"])
-    '1+Z, 2+Z, 3+Z, … (5)'
-    """
+    """``1+Z, 2+Z, 3+Z, … (13)``: the first few of a list of names, and how many there are."""
     words = [str(n) for n in names]
     return ", ".join(words) if len(words) <= most else f"{', '.join(words[: most - 1])}, … ({len(words)})"
 
 
 def common_name(objects: Iterable[Named]) -> str:
-    """The ``name`` that all objects have; empty where they differ: what is made of several files is not called after one of them.
-
-    Parameters
-    ----------
-    objects : iterable
-        Each with an attribute ``name``.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> from operando.data import Geometry
-    >>> one, two = (Geometry((1,), [[0, 0, 0]], name=name) for name in ("a.uff", "b.uff"))
-    >>> common_name([one, one]), common_name([one, two])
-    ('a.uff', '')
-    """
+    """The ``name`` that all objects have; empty where they differ: what is made of several files is not called after one of them."""
     names = {str(item.name) for item in objects}
     return names.pop() if len(names) == 1 else ""
 
 
 def counted(n: int, noun: str) -> str:
-    """``1 force``, ``3 forces``.
-
-    Parameters
-    ----------
-    n : int
-        How many.
-    noun : str
-        What, in the singular.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> counted(1, "force"), counted(3, "force")
-    ('1 force', '3 forces')
-    """
+    """``1 force``, ``3 forces``."""
     return f"{n} {noun}" + ("" if n == 1 else "s")
 
 
@@ -224,34 +162,7 @@ class Noun(Short):
 
 
 def several(value: Any, kind: type | tuple[type, ...], what: str, hint: str) -> list[Any]:
-    """One object of a kind, or several in a list or tuple, as a list.
-
-    Parameters
-    ----------
-    value : object
-        What was given.
-    kind : type or tuple[type, ...]
-        Class or classes of each object.
-    what : str
-        What needs it, in words.
-    hint : str
-        What to give instead.
-
-    Returns
-    -------
-    list
-        The objects.
-
-    Raises
-    ------
-    ObjectError
-        If it is something else; it says what was given and what to do.
-
-    Examples
-    --------
-    >>> several(3, int, "numbers are added", "give numbers"), several([3, 4], int, "numbers are added", "give numbers")
-    ([3], [3, 4])
-    """
+    """One object of a kind, or several in a list or tuple, as a list; anything else is refused as by :func:`expect`."""
     items = list(value) if isinstance(value, list | tuple) else [value]
     for item in items:
         expect(item, kind, what, hint)
@@ -259,31 +170,7 @@ def several(value: Any, kind: type | tuple[type, ...], what: str, hint: str) -> 
 
 
 def expect(value: Any, kinds: type | UnionType | tuple[type, ...], what: str, hint: str) -> None:
-    """Refuse an object of another kind than a function works on.
-
-    Parameters
-    ----------
-    value : object
-        What was given.
-    kinds : type or tuple[type, ...]
-        Class or classes that the function works on.
-    what : str
-        What needs it, in words.
-    hint : str
-        What to give instead.
-
-    Raises
-    ------
-    ObjectError
-        It says what was given and what to do.
-
-    Examples
-    --------
-    >>> expect(3, int, "an index is needed", "give a whole number")
-    >>> expect("three", int, "an index is needed", "give a whole number")
-    Traceback (most recent call last):
-    operando.errors.ObjectError: an index is needed, not str (give a whole number)
-    """
+    """Refuse an object of another kind than a function works on, with ``what`` needs it and, as ``hint``, what to give instead."""
     if not isinstance(value, kinds):
         found = f"a list of {type(value[0]).__name__}" if isinstance(value, list | tuple) and value else f"{type(value).__name__}"
         raise ObjectError(f"{what}, not {found}", hint=hint)

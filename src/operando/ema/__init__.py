@@ -1,7 +1,8 @@
 """Experimental modal analysis: candidate poles, maximum-likelihood fit of real modes, residual modes, comparison with sdypy-EMA."""
 
 from operando.data import explain_arguments
-from operando.ema.by_hand import poles_by_hand, without_doubts
+from operando.ema.by_hand import poles_by_hand as poles_by_hand
+from operando.ema.by_hand import without_doubts as without_doubts
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.details import EmaDetails
 from operando.ema.fit import fit_ema
@@ -28,11 +29,9 @@ __all__ = [
     "mmif",
     "phase_collinearity",
     "plscf",
-    "poles_by_hand",
     "rigid_body_mass",
     "second_opinion",
     "stabilization_diagram",
-    "without_doubts",
 ]
 
 explain_arguments(__name__)

@@ -78,26 +78,9 @@ def modes_by_hand(
 
 
 def poles_by_hand(automatic: ModalModel) -> list[Pole]:
-    """Poles that may be named by hand in ``modes_hz`` and ``select_hz``.
+    """Poles that may be named by hand in ``modes_hz`` and ``select_hz`` of an automatic answer.
 
-    Parameters
-    ----------
-    automatic : ModalModel
-        Of :func:`operando.fit_ema` without anything named by hand.
-
-    Returns
-    -------
-    list of (float, float, int)
-        Frequency [Hz], damping ratio, and the term of the model, −1 for a pole that it does not have. Its modes come first.
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> from operando.ema import poles_by_hand
-    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
-    >>> found = operando.fit_ema(model.frf(np.arange(5, 80, 0.1), references="1+Z"), band=(10, 70))
-    >>> [round(hz) for hz, _, _ in poles_by_hand(found)[:2]]
-    [20, 45]
+    Each with its frequency [Hz], damping ratio, and the term of the model, −1 for a pole that it does not have. Its modes come first.
     """
     expect(automatic.details, EmaDetails, "poles beside the modes are known from the details of an EMA", "give what fit_ema(frf) returned")
     terms, known = automatic.terms, (*range(automatic.n_modes), *_doubtful_terms(automatic))
@@ -106,29 +89,7 @@ def poles_by_hand(automatic: ModalModel) -> list[Pole]:
 
 
 def without_doubts(model: ModalModel, codes: Collection[str]) -> ModalModel:
-    """The model with those poles in doubt as modes whose doubts are all of some kinds, which are void.
-
-    Parameters
-    ----------
-    model : ModalModel
-        Of :func:`operando.fit_ema`.
-    codes : collection of str
-        Kinds of doubts, as in :class:`operando.ema.doubts.Evidence`.
-
-    Returns
-    -------
-    ModalModel
-        The same one where no pole is in such a doubt.
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> from operando.ema import without_doubts
-    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
-    >>> found = operando.fit_ema(model.frf(np.arange(5, 80, 0.1), references="1+Z"), band=(10, 70))
-    >>> without_doubts(found, ["twin"]) is found
-    True
-    """
+    """The model of an EMA with those poles in doubt as modes whose doubts are all of some kinds, which are void."""
     linear = getattr(model.details, "linear", None)
     if linear is None:
         return model

@@ -55,31 +55,7 @@ def power_share(frf: Frf, response: int, reference: int) -> float:
 
 
 def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
-    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point.
-
-    Parameters
-    ----------
-    frf : Frf
-        FRFs.
-    response : int
-        Index of the response.
-    reference : int
-        Index of the reference.
-
-    Returns
-    -------
-    (float, float)
-        Shares in and out.
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
-    >>> frf = idle.frf(np.arange(5, 80, 0.1))
-    >>> from operando.frf import power_signs
-    >>> power_signs(frf, 0, 0)
-    (1.0, 0.0)
-    """
+    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point."""
     good, factor, dissipated = _dissipated(frf, response, reference)
     if not dissipated.size:
         return 0.0, 0.0
@@ -89,22 +65,7 @@ def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
 
 
 def reversing(reference: Dof) -> str:
-    """What to write where the force at a DOF has the sense opposite to the accelerometer's.
-
-    Parameters
-    ----------
-    reference : Dof
-        Where the force acts.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> reversing(Dof.parse("30+Z"))
-    'reverse the one that is wrong; the force, for example, by [channels] "30+Z:force" = {dof = "30-Z"}'
-    """
+    """What to write where the force at a DOF has the sense opposite to the accelerometer's."""
     return f'reverse the one that is wrong; the force, for example, by [channels] "{reference}:force" = {{dof = "{reference.opposite}"}}'
 
 
@@ -175,24 +136,8 @@ def check_drive_points(frf: Frf) -> list[Finding]:
 def opposed_dofs(frf: Frf, known: Sequence[Dof] = ()) -> tuple[Dof, ...]:
     """References whose force and accelerometer have opposite senses: nearly all power dissipated at the drive point is negative.
 
-    Parameters
-    ----------
-    frf : Frf
-        FRFs.
-    known : sequence of Dof
-        Opposite in another measurement with the same sensors: here too, unless nearly all power is positive. Noise leaves it open.
-
-    Returns
-    -------
-    tuple of Dof
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
-    >>> from operando.frf import opposed_dofs
-    >>> opposed_dofs(idle.frf(np.arange(5, 80, 0.1)))
-    ()
+    Those ``known`` are opposite in another measurement with the same sensors: here too, unless nearly all power is positive. Noise leaves
+    it open.
     """
     pairs = [(i, j) for i, j in frf.drive_points() if np.isfinite(frf.data[i, j]).any()]
     shares = ((frf.references[j], power_share(frf, i, j)) for i, j in pairs)
@@ -200,29 +145,9 @@ def opposed_dofs(frf: Frf, known: Sequence[Dof] = ()) -> tuple[Dof, ...]:
 
 
 def in_one_sense(frf: Frf, opposed: Sequence[Dof]) -> Frf:
-    """The FRFs with the polarity reversed of what stays at some DOFs: the accelerometer of a roving hammer, else the force.
+    """The FRFs with the polarity reversed of what stays at the DOFs ``opposed``: the accelerometer of a roving hammer, else the force.
 
     The EMA does the same to FRFs whose drive points absorb no power, so models have this sense.
-
-    Parameters
-    ----------
-    frf : Frf
-        FRFs.
-    opposed : sequence of Dof
-        Where force and accelerometer have opposite senses (:func:`opposed_dofs`).
-
-    Returns
-    -------
-    Frf
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
-    >>> frf = idle.frf(np.arange(5, 80, 0.1))
-    >>> from operando.frf import in_one_sense
-    >>> bool(np.all(in_one_sense(frf, frf.references[:1])["1+Z", "1+Z"].data == -frf["1+Z", "1+Z"].data))
-    True
     """
     if not opposed:
         return frf

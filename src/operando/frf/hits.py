@@ -355,27 +355,7 @@ def rejected_numbers(names: Sequence[str], counts: Sequence[int], hits_reject: I
 
 
 def hits_of(record: TimeRecord) -> Hits | None:
-    """Hits of a hammer record: one force channel of short impacts; None for any other record.
-
-    Parameters
-    ----------
-    record : TimeRecord
-        One record.
-
-    Returns
-    -------
-    Hits or None
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> rng = np.random.default_rng(0)
-    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
-    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
-    >>> from operando.frf import hits_of
-    >>> hits_of(record) is None  # random forces
-    True
-    """
+    """Hits of a hammer record: one force channel of short impacts; None for any other record."""
     rows = record.force_indices
     if len(rows) != 1:
         return None
@@ -384,34 +364,10 @@ def hits_of(record: TimeRecord) -> Hits | None:
 
 
 def without_hits(records: Sequence[TimeRecord], hits_reject: Iterable[str]) -> tuple[list[TimeRecord], list[Finding]]:
-    """The stretches of records between hits that are rejected by hand, for fits of whole records.
+    """The stretches of records between hits that are rejected by hand (``FILE#NUMBER``, from 0), for fits of whole records.
 
-    A stretch ends before a rejected hit and begins again with the next one, while the structure may still ring: what uses it must allow
-    for its initial motion. A stretch of one hit is left out (its response and a free transient look alike).
-
-    Parameters
-    ----------
-    records : sequence of TimeRecord
-        Records.
-    hits_reject : sequence of str
-        Hits as ``FILE#NUMBER``, numbers from 0.
-
-    Returns
-    -------
-    records : list of TimeRecord
-        Those without a rejected hit as they are.
-    findings : list of Finding
-        Hits that are left out besides the rejected ones.
-
-    Raises
-    ------
-    DataError
-        If a hit named is not there.
-
-    Examples
-    --------
-    >>> without_hits([], [])
-    ([], [])
+    A stretch ends before a rejected hit and begins again with the next one, while the structure may still ring: what uses it must allow for
+    its initial motion. A stretch of one hit is left out (its response and a free transient look alike), and a finding says so.
     """
     wanted = list(hits_reject)
     if not wanted:

@@ -28,27 +28,7 @@ class ChannelFault:
 
 
 def channel_faults(record: TimeRecord) -> list[ChannelFault]:
-    """Channels that hold samples that are not finite, or no signal.
-
-    Parameters
-    ----------
-    record : TimeRecord
-        One record.
-
-    Returns
-    -------
-    list of ChannelFault
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> rng = np.random.default_rng(0)
-    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
-    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
-    >>> from operando.frf import channel_faults
-    >>> channel_faults(record)
-    []
-    """
+    """Channels that hold samples that are not finite, or no signal."""
     spreads, finite = record.statistics.std, record.statistics.finite
     out = []
     for i, channel in enumerate(record.channels):
@@ -182,52 +162,12 @@ def _left_out(records: Sequence[TimeRecord], cases: Sequence[tuple[int, ChannelF
 
 
 def whole(records: Sequence[TimeRecord]) -> list[TimeRecord]:
-    """The records that are finite in all forces and responses: those that an analysis of whole records can use.
-
-    Parameters
-    ----------
-    records : sequence of TimeRecord
-        Records of one state.
-
-    Returns
-    -------
-    list of TimeRecord
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> rng = np.random.default_rng(0)
-    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
-    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
-    >>> from operando.frf import whole
-    >>> len(whole([record]))
-    1
-    """
+    """The records that are finite in all forces and responses: those that an analysis of whole records can use."""
     return [r for r in records if r.statistics.finite[[*r.force_indices, *r.response_indices]].all()]
 
 
 def trimmed(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
-    """The record without samples at either end at which no channel is finite (columns of a table that end early), and the finding.
-
-    Parameters
-    ----------
-    record : TimeRecord
-        One record.
-
-    Returns
-    -------
-    TimeRecord, list of Finding
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> rng = np.random.default_rng(0)
-    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
-    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
-    >>> from operando.frf import trimmed
-    >>> trimmed(record)[1]
-    []
-    """
+    """The record without samples at either end at which no channel is finite (columns of a table that end early), and the finding."""
     if record.statistics.finite.any():
         return record, []
     there = np.flatnonzero(np.isfinite(record.data).any(axis=0))

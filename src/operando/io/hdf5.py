@@ -51,32 +51,6 @@ def read_objects(file: h5py.File, names: Iterable[str]) -> dict[str, Any]:
     """Objects of an open file by the names of their groups; what they share is counted over all of them.
 
     Fields that this version of operando does not know are left out; fields the file lacks take their defaults.
-
-    Parameters
-    ----------
-    file : h5py File
-        The open file.
-    names : iterable of str
-        Groups.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    FormatError
-        If a group does not hold an operando object, names a class that does not exist, or holds something else than was written.
-
-    Examples
-    --------
-    >>> import h5py
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_hdf5(f"{folder}/a.h5", {"text": "a note", "numbers": [1.0, 2.0]})
-    ...     with h5py.File(f"{folder}/a.h5") as file:
-    ...         read_objects(file, ["text"])
-    {'text': 'a note'}
     """
     repeated = _Repeated(file)
     return {name: _read(file[name], repeated) for name in names}
@@ -181,23 +155,9 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
 
 
 def check_objects(file: h5py.File) -> None:
-    """Refuse a file of operando that does not hold all objects it lists.
+    """Refuse an open file of operando that does not hold all objects it lists, or is of no known version of the format.
 
-    Parameters
-    ----------
-    file : h5py File
-        The open file.
-
-    Raises
-    ------
-    FormatError
-        If an object is missing, or the format of the file is of no known version.
-
-    Examples
-    --------
-    >>> import h5py
-    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
-    ...     check_objects(file)  # a file of another program lists none
+    A file of another program lists none, and passes.
     """
     schema = _schema(file)
     if schema is not None and schema not in _SCHEMAS:

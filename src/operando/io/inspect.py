@@ -89,26 +89,8 @@ def inspect_content(content: Content) -> tuple[dict[str, Any], list[Finding]]:
     """Entry of one file in the JSON of :func:`inspect_files`, and its findings.
 
     ``damage`` says in sentences what of a damaged file is lost; what may be in that part is not called missing. ``sets`` is the whole
-    inventory; ``found`` and ``missing`` are sentences; ``used`` counts the sets used by title, ``ignored`` lists
-    sets not used with the reason.
-
-    Parameters
-    ----------
-    content : Content
-        What was read of the file.
-
-    Returns
-    -------
-    dict, list of Finding
-
-    Examples
-    --------
-    >>> import tempfile, operando
-    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     operando.write_uff(f"{folder}/frf.uff", frf)
-    ...     inspect_content(operando.read(f"{folder}/frf.uff"))[0]["format"]
-    'uff'
+    inventory; ``found`` and ``missing`` are sentences; ``used`` counts the sets used by title, ``ignored`` lists sets not used with the
+    reason.
     """
     damage, functions_lost = _damage(content)
     extra = [] if functions_lost else [f for record in content.records for f in _drive_point(record, content.path)]

@@ -29,41 +29,10 @@ def make_record(
     source: str = "",
     provenance: Provenance | None = None,
 ) -> TimeRecord:
-    """A record from an array and what is known of its channels, converted to SI.
+    """A record from an array (n_channels, n_samples) and what is known of its channels, converted to SI.
 
-    Parameters
-    ----------
-    data : (n_channels, n_samples) array
-        Samples (n_channels, n_samples).
-    sampling_hz : float
-        Sampling rate [Hz].
-    names, unit_texts : sequences of str
-        Name of each channel (a DOF label such as ``12+Z`` becomes its DOF) and its unit, empty where not known.
-    start_s : float
-        Time of the first sample [s].
-    units, channels : mappings, optional
-        As for :func:`operando.io.read`.
-    source : str
-        File name, for findings.
-    provenance : Provenance, optional
-        Where the samples come from.
-
-    Returns
-    -------
-    TimeRecord
-        With the finding ``missing_unit`` for each channel that should have a unit and has none.
-
-    Raises
-    ------
-    DataError
-        If the shapes do not belong together.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from operando.io import make_record
-    >>> make_record(np.ones((1, 100)), 50.0, ["3+Z"], ["g"]).data[0, 0].tolist()
-    9.80665
+    A name that is a DOF label such as ``12+Z`` becomes its DOF; unit texts are empty where not known. The finding ``missing_unit`` names
+    each channel that should have a unit and has none. ``source`` is the file, for findings.
     """
     array = data if isinstance(data, MappedSamples) else np.asarray(data)
     if array.ndim != 2 or array.shape[0] != len(names) or len(names) != len(unit_texts):

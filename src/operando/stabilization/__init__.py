@@ -2,7 +2,8 @@
 
 from operando.data import explain_arguments
 from operando.stabilization.classify import classify, stability_letters
-from operando.stabilization.select import HAND_TOLERANCE, demote, select_modes, track_poles
+from operando.stabilization.select import HAND_TOLERANCE, select_modes, track_poles
+from operando.stabilization.select import demote as demote
 from operando.stabilization.table import STATUS, PoleTable, RejectedPole, Stabilization, Tolerances
 
 __all__ = [
@@ -13,7 +14,6 @@ __all__ = [
     "Stabilization",
     "Tolerances",
     "classify",
-    "demote",
     "select_modes",
     "stability_letters",
     "track_poles",

@@ -205,27 +205,8 @@ def select_modes(
 def demote(stabilization: Stabilization, verdicts: Mapping[int, tuple[str, str]]) -> Stabilization:
     """The selection without some of its modes, each rejected with a code and a reason.
 
-    Parameters
-    ----------
-    stabilization : Stabilization
-        The selection.
-    verdicts : mapping of int to (code, reason)
-        Index of the selected mode → why it is no mode after all (known only after the diagram: a sinusoid, too uncertain, negative
-        modal mass, …).
-
-    Returns
-    -------
-    Stabilization
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from operando.stabilization import classify, demote, select_modes
-    >>> shape = np.array([[1.0], [0.5]])
-    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
-    >>> selection = select_modes(table, band=(5, 50))
-    >>> demote(selection, {0: ("harmonic", "a line of the rotor")}).selected_hz.tolist()
-    []
+    ``verdicts`` say of modes selected (by index) why they are none after all (known only after the diagram: a sinusoid, too uncertain,
+    negative modal mass, …).
     """
     keep = [i for i in range(stabilization.selected_hz.size) if i not in verdicts]
     gone = [

@@ -21,36 +21,7 @@ _FOREIGN = "the data must lie in the file itself: copy them into one file, for e
 
 @contextmanager
 def opened_hdf5(path: str | Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file for reading, after it was tried in a process of its own.
-
-    Parameters
-    ----------
-    path : path
-        File.
-
-    Yields
-    ------
-    h5py File
-        The open file.
-
-    Raises
-    ------
-    FormatError
-        If it is damaged, refers to other files, or its content is out of proportion to its size.
-    MissingError
-        If there is no such file.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib, h5py
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = pathlib.Path(folder) / "values.h5"
-    ...     with h5py.File(path, "w") as file:
-    ...         file["rate"] = 256.0
-    ...     with opened_hdf5(path) as file:
-    ...         float(file["rate"][()])
-    256.0
-    """
+    """Open an HDF5 file for reading, after it was tried in a process of its own."""
     import h5py
 
     try_apart(path, "hdf5")
