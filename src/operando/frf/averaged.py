@@ -17,7 +17,7 @@ from operando.frf.hits import LEAST_BLOCK
 from operando.frf.impact import ImpactBlocks, impact_spectra
 from operando.frf.inputs import RunInput
 from operando.frf.rational import roughness_variance
-from operando.frf.runs import RunEstimate, coherence_of, same_references
+from operando.frf.runs import RunEstimate, by_references, coherence_of
 from operando.frf.spectra import CrossSpectra, block_starts, cross_spectra
 
 FEW_AVERAGES = 4.0
@@ -187,14 +187,7 @@ def _bias_findings(run: RunInput, spectra: CrossSpectra, estimator: str, h: np.n
 
 def few_averages(estimates: Sequence[RunEstimate]) -> list[Finding]:
     """One finding for the references of a state whose runs together have few averages."""
-    groups: list[list[RunEstimate]] = []
-    for run in estimates:
-        mine = next((g for g in groups if same_references(g[0], run)), None)
-        if mine is None:
-            groups.append([run])
-        else:
-            mine.append(run)
-    few = [(n, g[0]) for g in groups if (n := _least_averages(g)) < FEW_AVERAGES * len(g[0].references)]
+    few = [(n, g[0]) for g in by_references(estimates) if (n := _least_averages(g)) < FEW_AVERAGES * len(g[0].references)]
     if not few:
         return []
     least, run = min(few, key=lambda item: item[0] / len(item[1].references))

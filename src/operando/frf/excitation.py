@@ -272,16 +272,13 @@ def on_common_lines(estimates: Sequence[RunEstimate]) -> list[RunEstimate]:
 
 def _on_lines(run: RunEstimate, have: NDArray[np.int64], wanted: NDArray[np.int64], hz: Array) -> RunEstimate:
     place = np.searchsorted(have, wanted).clip(0, have.size - 1)
-    there = have[place] == wanted
-    pick = lambda a: np.where(there, a[..., place], np.nan)  # noqa: E731
-    return replace(
-        run,
-        frequencies_hz=hz,
-        data=pick(run.data),
-        variance=pick(run.variance),
-        coherence=pick(run.coherence),
-        gain=np.where(there, run.gain[:, place], 0.0),
-    )
+    return replace(_blank(at_lines(run, place), have[place] == wanted), frequencies_hz=hz)
+
+
+def _blank(run: RunEstimate, there: NDArray[np.bool_]) -> RunEstimate:
+    """The estimate without values and information on the other lines."""
+    data, variance, coherence = (np.where(there, values, np.nan) for values in (run.data, run.variance, run.coherence))
+    return replace(run, data=data, variance=variance, coherence=coherence, gain=np.where(there, run.gain, 0.0))
 
 
 def excited_span(run: RunEstimate) -> tuple[float, float]:
@@ -325,17 +322,7 @@ def within_excited(estimates: Sequence[RunEstimate]) -> tuple[list[RunEstimate],
         keep &= np.any([lines for e, lines in zip(estimates, inside, strict=True) if same_references(e, run)], axis=0)
     if not keep.all() and np.count_nonzero(keep) < LEAST_LINES:
         return list(estimates), []
-    out = list(estimates)
-    for i, (run, lines) in enumerate(zip(estimates, inside, strict=True)):
-        if (keep & ~lines).any():
-            blank = lambda a, m=lines: np.where(m, a, np.nan)  # noqa: E731
-            out[i] = replace(
-                run,
-                data=blank(run.data),
-                variance=blank(run.variance),
-                coherence=blank(run.coherence),
-                gain=np.where(lines, run.gain, 0.0),
-            )
+    out = [_blank(run, lines) if (keep & ~lines).any() else run for run, lines in zip(estimates, inside, strict=True)]
     if keep.all():
         return out, []
     low, high = float(axis[keep][0]), float(axis[keep][-1])
@@ -353,15 +340,10 @@ def within_excited(estimates: Sequence[RunEstimate]) -> tuple[list[RunEstimate],
     return [at_lines(e, keep) for e in out], [finding]
 
 
-def at_lines(run: RunEstimate, keep: NDArray[np.bool_]) -> RunEstimate:
-    """The estimate on some of its lines; a view where they follow one another."""
-    kept = np.flatnonzero(keep)
-    lines = slice(kept[0], kept[-1] + 1) if kept.size and kept[-1] - kept[0] + 1 == kept.size else keep
-    return replace(
-        run,
-        frequencies_hz=run.frequencies_hz[lines],
-        data=run.data[..., lines],
-        variance=run.variance[..., lines],
-        coherence=run.coherence[..., lines],
-        gain=run.gain[..., lines],
-    )
+def at_lines(run: RunEstimate, keep: NDArray[np.bool_] | NDArray[np.intp]) -> RunEstimate:
+    """The estimate on some of its lines (mask or positions); a view where a mask names lines that follow one another."""
+    lines: slice | NDArray[Any] = keep
+    if keep.dtype == bool and (kept := np.flatnonzero(keep)).size and kept[-1] - kept[0] + 1 == kept.size:
+        lines = slice(kept[0], kept[-1] + 1)
+    parts = {name: getattr(run, name)[..., lines] for name in ("frequencies_hz", "data", "variance", "coherence", "gain")}
+    return replace(run, **parts)

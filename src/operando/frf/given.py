@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, Provenance, common_name
-from operando.dof import Dof, Node
+from operando.dof import DofIndex
 from operando.errors import DataError
-from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of, measured_by
+from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of, each_once, measured_by
 from operando.frf.shift import frequency_shifts, in_words
 from operando.printable import first_few
 
@@ -54,22 +54,16 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
     if len(frfs) == 1:
         return first
     same = [_on_lines_of(first, h) for h in frfs]
-    responses: dict[tuple[Node, str], Dof] = {}
-    references: dict[tuple[Node, str], Dof] = {}
-    for h in same:
-        for d in h.responses:
-            responses.setdefault(d.key, d)
-        for d in h.references:
-            references.setdefault(d.key, d)
+    responses, references = each_once(h.responses for h in same), each_once(h.references for h in same)
     shape = (len(responses), len(references), len(first.axis))
     data = np.full(shape, np.nan, complex)
     variance = np.full(shape, np.nan) if any(h.variance is not None for h in same) else None
     coherence = np.full(shape, np.nan) if any(h.coherence is not None for h in same) else None
-    given = _by_pair(same, list(responses), list(references), responses, references)
+    given = _by_pair(same, DofIndex(responses), DofIndex(references))
     averaged: list[str] = []
     apart: dict[str, list[tuple[str, float, Array, Array]]] = {}
     for (i, j), parts in given.items():
-        label = f"{list(responses.values())[i]}/{list(references.values())[j]}"
+        label = f"{responses[i]}/{references[j]}"
         used = parts[:1]
         for part in parts[1:]:
             relative, agree = _agreement(parts[0], part)
@@ -84,12 +78,12 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
             variance[i, j] = of_line
         if coherence is not None and gamma is not None:
             coherence[i, j] = gamma
-    missing = absent_pairs(data, list(responses.values()), list(references.values()))
+    missing = absent_pairs(data, responses, references)
     return Frf(
         data,
         first.axis,
-        tuple(responses.values()),
-        tuple(references.values()),
+        responses,
+        references,
         first.quantity,
         variance=variance,
         coherence=coherence,
@@ -97,7 +91,7 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
         si=all(h.si for h in same),
         exponential_window_rate=first.exponential_window_rate,
         name=common_name(same),
-        setups=measured_by(same, list(responses.values()), list(references.values())),
+        setups=measured_by(same, responses, references),
         findings=tuple(dict.fromkeys([*(f for h in frfs for f in h.findings), *_said(first, averaged, apart), *missing])),
         provenance=Provenance.merge(*(h.provenance for h in same)).then("merge_frfs"),
     )
@@ -120,25 +114,19 @@ _Part = tuple[Array, Array | None, Array | None, Frf]
 """One pair of one file: H, its variance, its coherence, the file."""
 
 
-def _by_pair(
-    frfs: Sequence[Frf],
-    rows: list[tuple[Node, str]],
-    columns: list[tuple[Node, str]],
-    responses: dict[tuple[Node, str], Dof],
-    references: dict[tuple[Node, str], Dof],
-) -> dict[_Pair, list[_Part]]:
+def _by_pair(frfs: Sequence[Frf], rows: DofIndex, columns: DofIndex) -> dict[_Pair, list[_Part]]:
     """What the files hold of each pair, in the sense of the DOFs of the matrix."""
     out: dict[_Pair, list[_Part]] = {}
     for h in frfs:
         for a, d in enumerate(h.responses):
             for b, e in enumerate(h.references):
-                if np.all(np.isnan(h.data[a, b].real)):
+                row, column = rows.find(d), columns.find(e)
+                if row is None or column is None or np.all(np.isnan(h.data[a, b].real)):
                     continue
-                key, other = d.key, e.key
-                sign = d.sign * responses[key].sign * e.sign * references[other].sign
                 variance = None if h.variance is None or not np.isfinite(h.variance[a, b]).any() else h.variance[a, b]
                 coherence = None if h.coherence is None else h.coherence[a, b]
-                out.setdefault((rows.index(key), columns.index(other)), []).append((sign * h.data[a, b], variance, coherence, h))
+                part = row[1] * column[1] * h.data[a, b], variance, coherence, h
+                out.setdefault((row[0], column[0]), []).append(part)
     return out
 
 
@@ -180,7 +168,7 @@ def _said(first: Frf, averaged: Sequence[str], apart: dict[str, list[tuple[str, 
         out.append(
             Finding(
                 "duplicate_pair",
-                f"{len(averaged)} pairs are given several times ({_some(averaged)}) and agree within their variances",
+                f"{len(averaged)} pairs are given several times ({first_few(averaged)}) and agree within their variances",
                 "info",
                 consequence="they are averaged",
             )
@@ -192,7 +180,7 @@ def _said(first: Frf, averaged: Sequence[str], apart: dict[str, list[tuple[str, 
         out.append(
             Finding(
                 "duplicate_pair",
-                f"{len(pairs)} pairs are given again ({_some([p[0] for p in pairs])}) and differ by up to "
+                f"{len(pairs)} pairs are given again ({first_few([p[0] for p in pairs])}) and differ by up to "
                 f"{100 * max(p[1] for p in pairs):.2g} % of |H|{moved}",
                 "warning",
                 file=name,
@@ -201,7 +189,3 @@ def _said(first: Frf, averaged: Sequence[str], apart: dict[str, list[tuple[str, 
             )
         )
     return out
-
-
-def _some(labels: Sequence[str]) -> str:
-    return first_few(labels)

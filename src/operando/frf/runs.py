@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, FrequencyAxis, Frf, Provenance, common_name, one_level
-from operando.dof import Dof, DofIndex, Node
+from operando.dof import Dof, DofIndex
 from operando.errors import DataError
 from operando.frf.shift import Shift, frequency_shifts, in_words
 from operando.printable import first_few
@@ -131,13 +131,9 @@ def inhomogeneity(first: RunEstimate, second: RunEstimate) -> tuple[float, float
     return (max(ratios) if ratios else 0.0), relative
 
 
-def union(runs: Sequence[RunEstimate]) -> tuple[Dof, ...]:
-    """Responses of all runs, each DOF once (in the sense of the run that has it first), in order."""
-    out: dict[tuple[Node, str], Dof] = {}
-    for run in runs:
-        for d in run.responses:
-            out.setdefault(d.key, d)
-    return tuple(out.values())
+def each_once(lists: Iterable[Sequence[Dof]]) -> tuple[Dof, ...]:
+    """DOFs of several lists, each once (in the sense of the list that has it first), in order."""
+    return tuple(DofIndex(d for dofs in lists for d in dofs))
 
 
 def pool(runs: Sequence[RunEstimate], responses: Sequence[Dof] | None = None) -> RunEstimate:
@@ -148,7 +144,7 @@ def pool(runs: Sequence[RunEstimate], responses: Sequence[Dof] | None = None) ->
     stays as it is.
     """
     base = runs[0]
-    rows = tuple(responses) if responses is not None else union(runs)
+    rows = tuple(responses) if responses is not None else each_once(run.responses for run in runs)
     if len(runs) == 1:
         return base if rows == base.responses else aligned(base, rows, base.references)
     shape = (len(rows), len(base.references), base.frequencies_hz.size)
@@ -254,7 +250,7 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
     rates = {r.exponential_window_rate for r in kept}
     if len(rates) > 1:
         raise DataError("runs with different exponential windows cannot be merged", hint="use the same window for all runs")
-    responses = union(kept)
+    responses = each_once(run.responses for run in kept)
     data, variance, coherence = _columns(kept, responses, columns)
     findings += absent_pairs(data, responses, columns)
     return Frf(
