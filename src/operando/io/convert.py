@@ -22,6 +22,9 @@ _SUFFIXES = {
     ".mat": "matlab", ".csv": "csv", ".txt": "csv",
 }  # fmt: skip
 
+NAMES = {TimeRecord: "record", Frf: "frf", ModalModel: "model", Geometry: "geometry"}
+"""Group of each noun in an HDF5 file."""
+
 
 def convert(
     source: str | Path,
@@ -164,7 +167,7 @@ def write_objects(
         counts: dict[str, int] = {}
         names = {}
         for obj in kept:
-            name = {TimeRecord: "record", Frf: "frf", ModalModel: "model", Geometry: "geometry"}[type(obj)]
+            name = NAMES[type(obj)]
             counts[name] = counts.get(name, 0) + 1
             names[f"{name}{counts[name]:04d}" if name != "geometry" else name] = obj
         write_hdf5(target, names)

@@ -21,7 +21,7 @@ from operando.io.frf_table import BARE, is_frf_table, read_bare_frf, read_frf_ta
 from operando.io.node_table import read_node_table
 from operando.io.quantities import ChannelSpecs, Units, stated_rate
 from operando.io.sep005 import make_record
-from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.io.uff.increments import even_step, tidy_rate
 from operando.printable import printable
 from operando.units import parse_unit
 
@@ -394,12 +394,8 @@ def _rate_of_time(time: NDArray[np.float64], unit: str, where: str) -> tuple[flo
         raise FormatError(f"{seconds.size} row of samples tells no sampling rate", where=where, hint="give the whole record")
     if not np.all(np.isfinite(seconds)) or not np.all(np.diff(seconds) > 0):
         raise FormatError("the time column does not increase from row to row", where=where, hint="remove repeated or damaged rows")
-    step = restore_step_of_values(float(seconds[0]), float(seconds[-1]), seconds.size)
-    off = float(np.max(np.abs(seconds - seconds[0] - step * np.arange(seconds.size))))
-    if off > 0.5 * step:
-        raise FormatError(
-            f"the samples are not evenly spaced: up to {off / step:.3g} samples off",
-            where=where,
-            hint="resample the data at a constant rate",
-        )
+    step, off = even_step(seconds)
+    if off > 0.5:
+        hint = "resample the data at a constant rate"
+        raise FormatError(f"the samples are not evenly spaced: up to {off:.3g} samples off", where=where, hint=hint)
     return tidy_rate(step), float(seconds[0])

@@ -6,6 +6,7 @@ import glob
 import importlib
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from operando.data import Finding
 from operando.errors import FormatError, MissingError
@@ -193,24 +194,17 @@ def _read_own_hdf5(path: str | Path) -> Content:
     from operando.data import Frf, Geometry, ModalModel, TimeRecord
     from operando.io.hdf5 import read_hdf5
 
-    found = read_hdf5(path)
-    records, frfs, models = [], [], []
-    geometry = None
+    held: dict[type, list[Any]] = {TimeRecord: [], Frf: [], ModalModel: [], Geometry: []}
     infos = []
     findings: list[Finding] = []
-    for i, (name, obj) in enumerate(found.items()):
-        used = True
-        if isinstance(obj, TimeRecord):
-            records.append(obj)
-        elif isinstance(obj, Frf):
-            frfs.append(obj)
-        elif isinstance(obj, ModalModel):
-            models.append(obj)
-        elif isinstance(obj, Geometry) and geometry is None:
-            geometry = obj
-        else:
-            used = False
-        title = f"{name}: {type(obj).__name__}"
-        infos.append(SetInfo(i, 0, title, "used" if used else "ignored", "" if used else "no record, FRF, model or geometry"))
-        findings += list(getattr(obj, "findings", ()) if used else ())
-    return Content(str(path), "hdf5", tuple(records), tuple(frfs), tuple(models), geometry, tuple(infos), tuple(dict.fromkeys(findings)))
+    for i, (name, obj) in enumerate(read_hdf5(path).items()):
+        kind = type(obj)
+        used = kind in held and not (kind is Geometry and held[kind])
+        if used:
+            held[kind].append(obj)
+            findings += getattr(obj, "findings", ())
+        note = "" if used else "no record, FRF, model or geometry"
+        infos.append(SetInfo(i, 0, f"{name}: {kind.__name__}", "used" if used else "ignored", note))
+    records, frfs, models = (tuple(held[kind]) for kind in (TimeRecord, Frf, ModalModel))
+    geometry = next(iter(held[Geometry]), None)
+    return Content(str(path), "hdf5", records, frfs, models, geometry, tuple(infos), tuple(dict.fromkeys(findings)))

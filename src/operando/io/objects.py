@@ -6,15 +6,12 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.errors import FormatError, OperandoError
-from operando.io.convert import format_of, holds, losses, write_objects
+from operando.io.convert import NAMES, format_of, holds, losses, write_objects
 from operando.io.detect import detect_format
 from operando.io.hdf5 import UNREADABLE, read_hdf5, write_hdf5
 from operando.io.safe import opened_hdf5
 
-NAMES = {TimeRecord: "record", Frf: "frf", ModalModel: "model", Geometry: "geometry"}
-"""Group of each noun in an HDF5 file."""
 HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
 """Names of HDF5 files, in lower case."""
 

@@ -13,7 +13,7 @@ from operando.data.mapped import scaled_rows
 from operando.dof import Dof
 from operando.errors import DataError, DofError
 from operando.io.quantities import ChannelSpecs, Units, find_spec, quantity_from_words, resolve, spec_dof
-from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.io.uff.increments import even_step, tidy_rate
 from operando.units import SI_UNIT
 
 
@@ -165,8 +165,8 @@ def _rate(item: Mapping[str, Any], samples: int, i: int) -> tuple[float, float]:
         time = np.asarray(_samples(item["time"], i, "time"), float)
         if time.shape != (samples,) or samples < 2 or not np.all(np.diff(time) > 0):
             raise DataError(f"the time axis of channel {i} does not fit its data, or does not increase")
-        step = restore_step_of_values(float(time[0]), float(time[-1]), samples)
-        if float(np.max(np.abs(time - time[0] - step * np.arange(samples)))) > 0.01 * step:
+        step, off = even_step(time)
+        if off > 0.01:
             raise DataError(f"channel {i} is not evenly sampled")
         return (_number(item, "fs", i) if item.get("fs") is not None else tidy_rate(step)), float(time[0])
     if item.get("fs") is None:

@@ -18,7 +18,7 @@ from operando.io.columns import NoLines, NoRate
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, find_spec, possible_coherence, resolve, spec_dof, stated_hz, stated_rate
 from operando.io.sep005 import make_record
-from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.io.uff.increments import even_step, tidy_rate
 from operando.io.uff.reader import provenance_of
 from operando.printable import first_few
 
@@ -212,8 +212,8 @@ def _rate_of_axis(time: NDArray[np.float64], name: str) -> tuple[float, float]:
     """Rate [Hz] and start [s] of a time vector."""
     if not np.all(np.diff(time) > 0):
         raise FormatError(f"the time vector {name} does not increase")
-    step = restore_step_of_values(float(time[0]), float(time[-1]), time.size)
-    if float(np.max(np.abs(time - time[0] - step * np.arange(time.size)))) > 0.5 * step:
+    step, off = even_step(time)
+    if off > 0.5:
         raise FormatError(f"the time vector {name} is not even")
     return tidy_rate(step), float(time[0])
 

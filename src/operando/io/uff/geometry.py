@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -39,17 +40,17 @@ def assemble_geometry(sets: list[RawSet], inventory: Inventory) -> Geometry | No
             _add_systems(raw, found, inventory)
     for raw in sets:
         if raw.number in (15, 2411):
-            nodes = inventory.attempt(raw, lambda raw=raw: read_nodes(raw.number, raw.raw(inventory.buffer)))  # type: ignore[misc]
+            nodes = inventory.attempt(raw, partial(read_nodes, raw.number))
             if nodes is not None:
                 _add_nodes(raw, nodes, found, inventory)
         elif raw.number == 82:
-            traces = inventory.attempt(raw, lambda raw=raw: read_traces(raw.raw(inventory.buffer)))  # type: ignore[misc]
+            traces = inventory.attempt(raw, read_traces)
             if traces is not None:
                 name, color, lines = traces
                 found.lines += [(nodes, name, color) for nodes in lines]
                 inventory.use(raw, f"{len(lines)} trace lines", name)
         elif raw.number == 2412:
-            elements = inventory.attempt(raw, lambda raw=raw: read_elements(raw.raw(inventory.buffer)))  # type: ignore[misc]
+            elements = inventory.attempt(raw, read_elements)
             if elements is not None:
                 _add_elements(raw, elements, found, inventory)
     return _geometry(found, inventory) if found.positions else None
@@ -81,8 +82,7 @@ def _length(raw: RawSet, inventory: Inventory) -> Scale:
 
 
 def _add_systems(raw: RawSet, found: _Found, inventory: Inventory) -> None:
-    reader = read_systems if raw.number == 18 else read_part_systems
-    systems = inventory.attempt(raw, lambda: reader(raw.raw(inventory.buffer)))
+    systems = inventory.attempt(raw, read_systems if raw.number == 18 else read_part_systems)
     if systems is None:
         return
     factor = _length(raw, inventory).factor

@@ -7,6 +7,9 @@ import re
 from fractions import Fraction
 from functools import lru_cache
 
+import numpy as np
+from numpy.typing import NDArray
+
 _NUMBER = re.compile(r"^\s*[+-]?(\d*)\.?(\d*)(?:[EeDd]?([+-]?\d+))?\s*$")
 
 
@@ -79,6 +82,12 @@ def restore_step_of_values(first: float, last: float, points: int) -> float:
     if min(best_rate[0], best_own[0]) > 7:
         return step
     return 1 / best_rate[1] if best_rate[0] < best_own[0] else best_own[1]
+
+
+def even_step(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Step of an axis by its first and last value, and how far the others are off in steps: 0 where all stand evenly."""
+    step = restore_step_of_values(float(values[0]), float(values[-1]), values.size)
+    return step, float(np.max(np.abs(values - values[0] - step * np.arange(values.size)))) / step
 
 
 def _digits(value: float) -> int:

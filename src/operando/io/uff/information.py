@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from operando.errors import FormatError
 from operando.io.content import FileHeader
 from operando.io.quantities import UnitSystem
-from operando.io.uff.lines import body_lines, floats_of, ints_of, said
+from operando.io.uff.lines import body_lines, checked_floats, ints_of, said
 
 _INCH, _POUND = 1 / 0.0254, 1 / 4.4482216152605
 _FACTORS = {
@@ -47,10 +47,10 @@ def read_units(raw: bytes) -> tuple[UnitSystem, str]:
         code = int(lines[0][:10])
     except ValueError:
         code = 9  # user defined: nothing to compare with
-    try:
-        length, force = floats_of(lines[1])[:2]
-    except ValueError as error:
-        raise FormatError(f"the factors of set 164 cannot be read: {lines[1].strip()[:80]!r}") from error
+    factors = checked_floats(lines[1], "the factors of set 164")
+    if len(factors) < 2:
+        raise FormatError(f"the factors of set 164 cannot be read: {lines[1].strip()[:80]!r}")
+    length, force = factors[:2]
     if not (0 < length < 1e30 and 0 < force < 1e30):
         raise FormatError(f"unit factors {length}, {force} of set 164 are not positive numbers")
     problem = ""
@@ -73,8 +73,5 @@ def read_qualifiers(raw: bytes) -> Qualifiers:
     window = ints_of(lines[1], 2, "record 2 of set 1858")[1]
     if not 0 <= window < len(_WINDOWS):
         raise FormatError(f"window type {window} of set 1858 is unknown")
-    try:
-        factors = floats_of(lines[3])
-    except ValueError as error:
-        raise FormatError(f"record 4 of set 1858 cannot be read: {lines[3].strip()[:80]!r}") from error
+    factors = checked_floats(lines[3], "record 4 of set 1858")
     return Qualifiers(_WINDOWS[window], factors[4] if len(factors) > 4 else 0.0)

@@ -58,10 +58,10 @@ class Inventory:
             consequence="its data are missing from every result", action="export the file again, or take the set from another format",
         )  # fmt: skip
 
-    def attempt(self, raw: RawSet, action: Callable[[], T]) -> T | None:
-        """The result of a reader, or None: then the set is kept as not understood, and a finding says why."""
+    def attempt(self, raw: RawSet, reader: Callable[[bytes], T]) -> T | None:
+        """What a reader makes of the bytes of a set, or None: then it is kept as not understood, and a finding says why."""
         try:
-            return action()
+            return reader(raw.raw(self.buffer))
         except FormatError as error:
             self.status[raw.index] = ("not understood", title_of(raw), error.message)
             self.note(

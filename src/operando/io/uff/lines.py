@@ -55,6 +55,14 @@ def floats_of(line: str) -> list[float]:
     return [parse_float(t) for t in _GLUED.sub(" ", _D_EXPONENT.sub("E", line)).split()]
 
 
+def checked_floats(line: str, what: str) -> list[float]:
+    """The same, or an error that says of what the line is."""
+    try:
+        return floats_of(line)
+    except ValueError as error:
+        raise FormatError(f"{what} cannot be read: {line.strip()[:80]!r}") from error
+
+
 def ints_of(line: str, count: int, what: str) -> list[int]:
     """The first whole numbers of a line, at least so many."""
     words = line.split()

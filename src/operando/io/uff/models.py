@@ -80,7 +80,7 @@ def assemble_models(sets: list[RawSet], inventory: Inventory) -> tuple[ModalMode
     groups: dict[tuple[Any, ...], list[tuple[RawSet, ModeSet]]] = {}
     readers = {55: read_mode, 2414: read_analysis}
     for raw in sets:
-        mode = inventory.attempt(raw, lambda raw=raw: readers[raw.number](raw.raw(inventory.buffer)))  # type: ignore[misc]
+        mode = inventory.attempt(raw, readers[raw.number])
         if mode is not None:
             key = (raw.number, np.iscomplexobj(mode.values), mode.nodes, mode.values.shape[1], _scaling(mode))
             groups.setdefault(key, []).append((raw, mode))

@@ -275,7 +275,7 @@ def _read_components(header: FileHeader | None, inventory: Inventory) -> None:
 
 
 def _read_qualifiers(raw: RawSet, inventory: Inventory) -> None:
-    found = inventory.attempt(raw, lambda: read_qualifiers(raw.raw(inventory.buffer)))
+    found = inventory.attempt(raw, read_qualifiers)
     if found is None:
         return
     window = f"{found.window} window" if found.window else "no window stated"

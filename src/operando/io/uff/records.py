@@ -16,7 +16,7 @@ from operando.dof import Node
 from operando.errors import FormatError, UnitError
 from operando.io.quantities import Scale, code_quantity, find_spec, quantity_from_words, resolve, spec_dof
 from operando.io.uff.header58 import Header58
-from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.io.uff.increments import even_step, tidy_rate
 from operando.io.uff.inventory import Inventory
 from operando.io.uff.split import RawSet
 from operando.io.uff.values58 import fill_real, natural_dtype, read_values, stored_dtype
@@ -108,10 +108,9 @@ def _sampling(raw: RawSet, header: Header58, inventory: Inventory) -> tuple[floa
     time = abscissa * factor
     if time.size < 2 or not np.all(np.isfinite(time)) or not np.all(np.diff(time) > 0):
         raise FormatError("the time axis does not increase")
-    step = restore_step_of_values(float(time[0]), float(time[-1]), time.size)
-    off = float(np.max(np.abs(time - time[0] - step * np.arange(time.size))))
-    if off > 0.01 * step:
-        raise FormatError(f"the samples are not evenly spaced: up to {off / step:.3g} samples off; resample the data at a constant rate")
+    step, off = even_step(time)
+    if off > 0.01:
+        raise FormatError(f"the samples are not evenly spaced: up to {off:.3g} samples off; resample the data at a constant rate")
     return tidy_rate(step), float(time[0]), values
 
 

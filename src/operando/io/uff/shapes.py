@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import complex_of
 from operando.errors import FormatError
-from operando.io.uff.lines import body_lines, floats_of, ints_of, said
+from operando.io.uff.lines import body_lines, checked_floats, ints_of, said
 
 NORMAL_MODE = 2
 COMPLEX_MODES = (3, 7)
@@ -40,7 +40,7 @@ def read_mode(raw: bytes) -> ModeSet:
     ids = tuple(said(line) for line in lines[:5])
     _, kind, _, _, data_type, per_node = ints_of(lines[5], 6, "record 6 of set 55")
     number = ints_of(lines[6], 4, "record 7 of set 55")[3]
-    numbers = _floats(lines[7], "record 8 of set 55")
+    numbers = checked_floats(lines[7], "record 8 of set 55")
     _check_kind(55, kind, data_type, per_node)
     if len(numbers) < 2:
         raise FormatError(f"record 8 of set 55 has {len(numbers)} numbers, expected the frequency or the pole: {lines[7].strip()[:80]!r}")
@@ -64,7 +64,7 @@ def read_analysis(raw: bytes) -> ModeSet:
     _, kind, _, _, data_type, per_node = ints_of(lines[8], 6, "record 9 of set 2414")
     _check_kind(2414, kind, data_type, per_node)
     number = ints_of(lines[9], 6, "record 10 of set 2414")[5]
-    numbers = [*_floats(lines[11], "record 12 of set 2414"), *_floats(lines[12], "record 13 of set 2414")]
+    numbers = [*checked_floats(lines[11], "record 12 of set 2414"), *checked_floats(lines[12], "record 13 of set 2414")]
     if len(numbers) < 8:
         raise FormatError(f"records 12 and 13 of set 2414 have {len(numbers)} numbers, expected 12")
     if kind == NORMAL_MODE:
@@ -79,13 +79,6 @@ def _check_kind(name: int, kind: int, data_type: int, per_node: int) -> None:
         raise FormatError(f"set {name} of analysis type {kind} is no mode shape")
     if data_type not in (2, 4, *_COMPLEX_DATA) or not 1 <= per_node <= 6:
         raise FormatError(f"set {name} with data type {data_type} and {per_node} values a node is not understood")
-
-
-def _floats(line: str, what: str) -> list[float]:
-    try:
-        return floats_of(line)
-    except ValueError as error:
-        raise FormatError(f"{what} cannot be read: {line.strip()[:80]!r}") from error
 
 
 def _of_pole(pole: complex) -> tuple[float, float, dict[str, complex]]:
@@ -122,7 +115,7 @@ def _node_values(lines: list[str], per_node: int, name: int = 55) -> tuple[tuple
         while len(row) < per_node:
             if i == len(lines):
                 raise FormatError(f"set {name} ends after {len(row)} of the {per_node} values of node {nodes[-1]}")
-            row += _floats(lines[i], f"a line of values of set {name}")
+            row += checked_floats(lines[i], f"a line of values of set {name}")
             i += 1
         if len(row) != per_node:
             raise FormatError(f"node {nodes[-1]} has {len(row)} values instead of {per_node}")
