@@ -21,7 +21,7 @@ from operando.oma.setup_findings import joint_findings, listed, setup_findings, 
 from operando.oma.single import Identification, Options, each_once, identify
 from operando.oma.spectra import Spectra
 from operando.oma.uncertainty import unit_changes
-from operando.oma.verdicts import short_record_finding
+from operando.oma.verdicts import short_record_findings
 from operando.stabilization import RejectedPole, Stabilization
 
 SECOND_LOOK = 0.01
@@ -30,15 +30,22 @@ SECOND_LOOK = 0.01
 
 @dataclass
 class _Member:
-    """A set-up on its way: its records, what was identified, its modes, why it failed."""
+    """A set-up: its records and sensors, and why it cannot be used, empty where it can."""
 
     records: list[TimeRecord]
     name: str
     sensors: tuple[Dof, ...]
-    identification: Identification | None = None
-    model: ModalModel | None = None
     failed: str = ""
     hint: str = ""
+
+
+@dataclass
+class _Used:
+    """A set-up that is used: what was identified, its modes, and why some of them are left out."""
+
+    setup: _Member
+    identification: Identification
+    model: ModalModel
     cast_out: dict[int, str] = field(default_factory=dict)
 
 
@@ -68,28 +75,25 @@ def fit_setups(groups: Sequence[Sequence[TimeRecord]], options: Options) -> Moda
         )
     members = [_Member(list(g), _name(g), _sensors(g)) for g in groups]
     _check_connected(members)
-    for m in members:
-        if not m.failed:
-            _identify(m, options)
-    if not any(m.model is not None for m in members):
+    used = [found for m in members if not m.failed and (found := _identify(m, options)) is not None]
+    if not used:
         first = next(m for m in members if m.failed)
         raise IdentificationError(f"none of {len(members)} set-ups can be identified: {first.failed}", where=first.name, hint=first.hint)
-    used = [m for m in members if m.model is not None]
     for f in options.select_hz:
-        if not any(np.any(np.abs(_of(used, k).frequencies_hz - f) <= SECOND_LOOK * f) for k in range(len(used))):
+        if not any(np.any(np.abs(u.model.frequencies_hz - f) <= SECOND_LOOK * f) for u in used):
             raise IdentificationError(
                 f"no set-up has a pole near {f:g} Hz chosen by hand", hint="take a frequency from a stabilisation diagram"
             )
-    clusters = match([m.model for m in used if m.model is not None])
+    clusters = match([u.model for u in used])
     clusters = _second_look(used, clusters)
     clusters = _seen_twice(used, clusters, options)
     if not clusters:
         raise IdentificationError(
             f"no mode is in two of {len(used)} set-ups", hint="look at each set-up by itself; are they of one structure in one state?"
         )
-    seconds = [m.identification.prepared.seconds for m in used if m.identification is not None]
-    blocks = [m.identification.diagram.blocks for m in used if m.identification is not None]
-    merged = merge([m.model for m in used if m.model is not None], clusters, seconds, blocks)
+    seconds = [u.identification.prepared.seconds for u in used]
+    blocks = [u.identification.diagram.blocks for u in used]
+    merged = merge([u.model for u in used], clusters, seconds, blocks)
     joint, why_not = _joint(used, options)
     partner, check = _beside(merged, joint, why_not)
     merged = _filled(merged, joint, partner)
@@ -138,7 +142,8 @@ def _check_connected(members: list[_Member]) -> None:
             m.hint = "leave at least one sensor where it is in all set-ups, or check the labels of this file"
 
 
-def _identify(m: _Member, options: Options) -> None:
+def _identify(m: _Member, options: Options) -> _Used | None:
+    """What a set-up says by itself; None, and the reason noted in it, where that is nothing."""
     own = replace(options, select_hz=(), second_opinion=False)
     if options.references is not None:
         wanted = parse_dofs(options.references)
@@ -147,20 +152,21 @@ def _identify(m: _Member, options: Options) -> None:
     try:
         found = identify(m.records, own)
         near = tuple(f for f in options.select_hz if _has_pole(found, f))
-        m.identification = replace(found, options=replace(own, select_hz=near))
+        identification = replace(found, options=replace(own, select_hz=near))
         try:
-            m.model = m.identification.modes()
+            model = identification.modes()
         except IdentificationError:
             if not near:
                 raise
-            m.identification, m.model = found, found.modes()  # poles there, but no chain of them
+            identification, model = found, found.modes()  # poles there, but no chain of them
     except OperandoError as error:
         m.failed, m.hint = error.message, error.hint or ""
-        return
-    if m.model.covariance is None:
+        return None
+    if model.covariance is None:
         m.failed = "the record is too short for standard deviations, which weigh set-ups"
         m.hint = "measure this set-up longer"
-        m.model = None
+        return None
+    return _Used(m, identification, model)
 
 
 def _has_pole(identification: Identification, hz: float) -> bool:
@@ -169,15 +175,13 @@ def _has_pole(identification: Identification, hz: float) -> bool:
     return int(np.unique(table.order[near & (table.status < 4)]).size) >= 2
 
 
-def _second_look(used: list[_Member], clusters: list[Cluster]) -> list[Cluster]:
+def _second_look(used: list[_Used], clusters: list[Cluster]) -> list[Cluster]:
     """Set-ups asked again for modes that at least two others have; what they find there is taken only where it matches."""
     for k, m in enumerate(used):
-        assert m.identification is not None
-        assert m.model is not None
         lacking = [c for c in clusters if k not in c.members and len(c.members) >= 2]
         wanted = []
         for c in lacking:
-            f = float(np.median([_of(used, j).frequencies_hz[i] for j, i in c.members.items()]))
+            f = float(np.median([used[j].model.frequencies_hz[i] for j, i in c.members.items()]))
             known = np.abs(m.model.frequencies_hz - f) < 1e-3 * f
             if not known.any() and _has_pole(m.identification, f):
                 wanted.append(f)
@@ -191,20 +195,14 @@ def _second_look(used: list[_Member], clusters: list[Cluster]) -> list[Cluster]:
         good = []
         for i in new:
             for c in lacking:
-                if all(_one(again, i, _of(used, j), q) for j, q in c.members.items()):
+                if all(_one(again, i, used[j].model, q) for j, q in c.members.items()):
                     good.append(i)
                     break
         if good:
             keep = sorted([i for i in range(again.n_modes) if i not in new] + good)
             m.model = again.select_modes(keep)
-            clusters = match([x.model for x in used if x.model is not None])
+            clusters = match([u.model for u in used])
     return clusters
-
-
-def _of(used: list[_Member], k: int) -> ModalModel:
-    model = used[k].model
-    assert model is not None
-    return model
 
 
 def _one(a: ModalModel, i: int, b: ModalModel, j: int) -> bool:
@@ -212,12 +210,12 @@ def _one(a: ModalModel, i: int, b: ModalModel, j: int) -> bool:
     return far and likeness(a, i, b, j)[1]
 
 
-def _seen_twice(used: list[_Member], clusters: list[Cluster], options: Options) -> list[Cluster]:
+def _seen_twice(used: list[_Used], clusters: list[Cluster], options: Options) -> list[Cluster]:
     """Modes of two set-ups or more, and those chosen by hand; the others are left out of their set-up with the reason."""
     kept = []
     for c in clusters:
         (k, i), *more = c.members.items()
-        f = float(_of(used, k).frequencies_hz[i])
+        f = float(used[k].model.frequencies_hz[i])
         if more or any(abs(f - hz) <= SECOND_LOOK * hz for hz in options.select_hz):
             kept.append(c)
             continue
@@ -225,10 +223,10 @@ def _seen_twice(used: list[_Member], clusters: list[Cluster], options: Options) 
     return kept
 
 
-def _joint(used: list[_Member], options: Options) -> tuple[Joint | None, str]:
-    if any(isinstance(m.identification.diagram, DecayDiagram) for m in used if m.identification is not None):
+def _joint(used: list[_Used], options: Options) -> tuple[Joint | None, str]:
+    if any(isinstance(u.identification.diagram, DecayDiagram) for u in used):
         return None, "free decays have no stationary correlations"
-    data = [SetUpData(m.identification.responses, m.identification.prepared) for m in used if m.identification is not None]
+    data = [SetUpData(u.identification.responses, u.identification.prepared) for u in used]
     try:
         return fit_joint(data, options.band, options.tolerances), ""
     except (OperandoError, np.linalg.LinAlgError) as error:
@@ -295,7 +293,7 @@ def _filled(merged: Merged, joint: Joint | None, partner: NDArray[np.int_]) -> M
 
 def _model(
     members: list[_Member],
-    used: list[_Member],
+    used: list[_Used],
     clusters: list[Cluster],
     merged: Merged,
     joint: Joint | None,
@@ -305,7 +303,7 @@ def _model(
     order = np.argsort(merged.hz)
     place = {id(clusters[int(r)]): k for k, r in enumerate(order)}
     setups = tuple(_setup(m, members, used, clusters, place) for m in members)
-    identified = [m.identification for m in used if m.identification is not None]
+    identified = [u.identification for u in used]
     widest = max(identified, key=lambda x: x.selection().selected_hz.size)
     stabilization = _diagram(joint.stabilization if joint is not None else widest.selection(), setups, merged.hz[order])
     harmonics = each_once([h for x in identified for h in x.harmonics])
@@ -313,7 +311,7 @@ def _model(
     settings = widest.settings() | {
         "references": list(dict.fromkeys(r for x in identified for r in x.settings()["references"])),
         "select_hz": [float(f) for f in options.select_hz],
-        "runs": sum(len(m.records) for m in used),
+        "runs": sum(len(u.setup.records) for u in used),
         "setups": len(used),
         "merged_by": "set-up by set-up (PoSER), joint estimate beside" if joint is not None else "set-up by set-up (PoSER)",
     }
@@ -331,21 +329,15 @@ def _model(
     joint_in_order = JointCheck(check.text, *(getattr(check, k)[order] for k in _CHECKED))
     seen = merged.seen[:, order]
     findings = [
-        *[
-            f if f.file else replace(f, file=m.name)
-            for m in used
-            if m.model is not None
-            for f in m.model.findings
-            if f.kind != "short_record"
-        ],
+        *[f if f.file else replace(f, file=u.setup.name) for u in used for f in u.model.findings if f.kind != "short_record"],
         *([_NOT_ASKED] if options.second_opinion else []),
-        *_short(model, [x.prepared.seconds for x in identified]),
+        *short_record_findings(model.frequencies_hz, model.damping_ratios, float(np.sum([x.prepared.seconds for x in identified]))),
         *setup_findings(setups, [m.hint for m in members], model),
         *unseen_findings(model, seen, joint_in_order),
         *joint_findings(model, joint_in_order),
     ]
     call = ", ".join(f"{k}={v!r}" for k, v in settings.items())
-    provenance = Provenance.merge(*(r.provenance for m in used for r in m.records)).then(f"fit_oma({call})")
+    provenance = Provenance.merge(*(r.provenance for u in used for r in u.setup.records)).then(f"fit_oma({call})")
     details = OmaDetails(
         stabilization,
         np.array([h.hz for h in harmonics]),
@@ -367,42 +359,37 @@ _NOT_ASKED = Finding(
 )
 
 
-def _short(model: ModalModel, seconds: Sequence[float]) -> list[Finding]:
-    """That all set-ups together are short for the modes."""
-    found = short_record_finding(model.frequencies_hz, model.damping_ratios, float(np.sum(seconds)))
-    return [] if found is None else [found]
-
-
 _CHECKED = ("frequencies_hz", "frequency_std_hz", "damping_ratios", "damping_ratio_std", "mac")
 
 
-def _setup(m: _Member, members: list[_Member], used: list[_Member], clusters: list[Cluster], place: dict[int, int]) -> SetUp:
+def _setup(m: _Member, members: list[_Member], used: list[_Used], clusters: list[Cluster], place: dict[int, int]) -> SetUp:
     """What is stated of a set-up."""
     elsewhere = {key for other in members if other is not m for key in _keys(other)}
     shared = tuple(str(d) for d in m.sensors if d.key in elsewhere)
     sensors = tuple(str(d) for d in m.sensors)
-    if m.model is None:
+    k = next((i for i, u in enumerate(used) if u.setup is m), None)
+    if k is None:
         return SetUp(m.name, sensors, shared, failed=m.failed)
-    k = next(i for i, other in enumerate(used) if other is m)
-    belongs = np.full(m.model.n_modes, -1)
+    model = used[k].model
+    belongs = np.full(model.n_modes, -1)
     for c in clusters:
         if k in c.members:
             belongs[c.members[k]] = place[id(c)]
-    reasons = tuple(m.cast_out.get(i, "") for i in range(m.model.n_modes))
-    f_std, z_std = m.model.frequency_std_hz, m.model.damping_ratio_std
+    reasons = tuple(used[k].cast_out.get(i, "") for i in range(model.n_modes))
+    f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
     assert f_std is not None
     assert z_std is not None
     return SetUp(
         m.name,
         sensors,
         shared,
-        m.model.frequencies_hz,
+        model.frequencies_hz,
         f_std,
-        m.model.damping_ratios,
+        model.damping_ratios,
         z_std,
         belongs,
         reasons,
-        m.model.details.stabilization,
+        model.details.stabilization,
     )
 
 

@@ -21,7 +21,7 @@ from operando.oma.estimate import best_orders
 from operando.oma.harmonics import Harmonic, find_harmonics
 from operando.oma.pyoma import second_opinion as pyoma_opinion
 from operando.oma.spectra import Spectra, output_spectra
-from operando.oma.verdicts import harmonic_finding, harmonic_poles, short_record_finding, stationarity_findings, uncertain_modes
+from operando.oma.verdicts import harmonic_finding, harmonic_poles, short_record_findings, stationarity_findings, uncertain_modes
 from operando.stabilization import Stabilization, Tolerances, demote, select_modes
 
 Band = tuple[float, float]
@@ -132,8 +132,7 @@ class Identification:
 
     def _short(self, hz: NDArray[np.float64], zeta: NDArray[np.float64]) -> list[Finding]:
         """That the records are short for the modes; decays say all by their standard deviations."""
-        found = None if isinstance(self.diagram, DecayDiagram) else short_record_finding(hz, zeta, self.prepared.seconds)
-        return [] if found is None else [found]
+        return [] if isinstance(self.diagram, DecayDiagram) else short_record_findings(hz, zeta, self.prepared.seconds)
 
     def settings(self) -> dict[str, Any]:
         """All settings as used."""

@@ -60,35 +60,37 @@ def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]
     return out
 
 
-def short_record_finding(hz: NDArray[np.float64], zeta: NDArray[np.float64], seconds: float) -> Finding | None:
+def short_record_findings(hz: NDArray[np.float64], zeta: NDArray[np.float64], seconds: float) -> list[Finding]:
     """Records that are short for their modes: at best the damping of some is uncertain by more than half (``SHORT``, one standard
     deviation), or they hold too few periods of the lowest for a mode of 1 % damping to be known better.
 
     The relative standard deviation of a damping ratio is 1/√(2πζfT) at best (long-data asymptotics, Au 2014).
     """
     if hz.size == 0:
-        return None
+        return []
     best = 1 / np.sqrt(2 * np.pi * np.maximum(zeta, 1e-6) * hz * seconds)
     lowest = float(hz.min())
     periods = lowest * seconds
     few = periods < 1 / (2 * np.pi * 0.01 * SHORT**2)
     bad = np.flatnonzero(best > SHORT)
     if not few and not bad.size:
-        return None
+        return []
     needed = float(np.max(best**2 * seconds)) / 0.2**2
     if bad.size:
         shown = ", ".join(f"{hz[i]:.4g} Hz (± {100 * INTERVAL * best[i]:.0f} %)" for i in bad[:4])
         text = f"damping is uncertain by at least: {shown}" + (f" and {bad.size - 4} more modes" if bad.size > 4 else "")
     else:
         text = "modes of little damping cannot be distinguished from noise"
-    return Finding(
-        "short_record",
-        f"{seconds:.4g} s hold {periods:.0f} periods of the lowest mode found ({lowest:.4g} Hz); {text}",
-        "warning",
-        time_s=(0.0, seconds),
-        consequence="damping ratios are rough, their standard deviations too, and weakly excited modes may be missing",
-        action=f"measure {max(needed, 100 / lowest):.2g} s or more for ± 40 % (95 % interval), in one record or several",
-    )
+    return [
+        Finding(
+            "short_record",
+            f"{seconds:.4g} s hold {periods:.0f} periods of the lowest mode found ({lowest:.4g} Hz); {text}",
+            "warning",
+            time_s=(0.0, seconds),
+            consequence="damping ratios are rough, their standard deviations too, and weakly excited modes may be missing",
+            action=f"measure {max(needed, 100 / lowest):.2g} s or more for ± 40 % (95 % interval), in one record or several",
+        )
+    ]
 
 
 def harmonic_finding(h: Harmonic) -> Finding:
