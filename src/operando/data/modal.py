@@ -233,13 +233,10 @@ class ModalModel(ModalFigures, Noun):
         wanted = named_dofs(dofs, self.dofs)
         i, signs = DofIndex(self.dofs).match(wanted)
         index, sign = np.asarray(i, int), np.asarray(signs, float)
-        terms, m, n, covariance = self.terms, len(self.dofs), self.terms.n, self.covariance
+        terms, n, covariance = self.terms, self.terms.n, self.covariance
         if covariance is not None:
-            values = (2 * n + np.arange(n)[:, None] * m + index).ravel()
-            parts, flip = [np.arange(2 * n), values], [np.ones(2 * n), np.tile(sign, n)]
-            if np.iscomplexobj(terms.shapes):
-                parts, flip = [*parts, values + n * m], [*flip, np.tile(sign, n)]
-            where, factor = np.concatenate(parts), np.concatenate(flip)
+            where = terms.positions(np.arange(n), index)
+            factor = np.concatenate([np.ones(2 * n), np.tile(sign, (where.size - 2 * n) // max(sign.size, 1))])
             covariance = covariance[np.ix_(where, where)] * np.outer(factor, factor)
         std = self.std
         if std is not None and std.get("shapes") is not None:

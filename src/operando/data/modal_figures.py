@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from operando.data.frf import Frf
 from operando.data.geometry import Geometry
@@ -148,6 +148,5 @@ class ModalFigures:
         -------
         matplotlib Axes
         """
-        made: Any = plots().plot_synthesis_correlation(frf, self, axes, band=band)
-        figure: Axes = made
-        return figure
+        made: Axes = plots().plot_synthesis_correlation(frf, self, axes, band=band)
+        return made

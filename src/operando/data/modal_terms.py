@@ -157,16 +157,19 @@ class ModalTerms:
         """Shape rows at the DOFs asked for, sign by their sense (n_wanted, n_terms)."""
         return shape_rows(self.shapes, self.dofs, dofs)
 
+    def positions(self, terms: NDArray[np.int_], rows: NDArray[np.int_]) -> NDArray[np.int_]:
+        """Where frequencies, damping ratios and shape values of some terms at some DOFs stand in θ."""
+        n, m = self.n, len(self.dofs)
+        values = (2 * n + terms[:, None] * m + rows).ravel()
+        imaginary = [values + n * m] if np.iscomplexobj(self.shapes) else []
+        return np.concatenate([terms, n + terms, values, *imaginary])
+
     def select(self, keep: Sequence[int] | NDArray[Any]) -> ModalTerms:
         """Some of the terms (indices or mask) in that order, covariance included; residual terms may stand anywhere then."""
         index = np.arange(self.n)[keep if isinstance(keep, np.ndarray) else list(keep)]
-        n, m, covariance = self.n, len(self.dofs), self.covariance
+        covariance = self.covariance
         if covariance is not None:
-            values = (2 * n + index[:, None] * m + np.arange(m)).ravel()
-            parts = [index, n + index, values]
-            if np.iscomplexobj(self.shapes):
-                parts.append(values + n * m)
-            where = np.concatenate(parts)
+            where = self.positions(index, np.arange(len(self.dofs)))
             covariance = covariance[np.ix_(where, where)]
         std = None
         if self.std is not None:

@@ -175,24 +175,5 @@ def _by_strength(fit: LinearFit, together: Complex, weights: Real) -> tuple[Comp
 
 def _doubled(fit: LinearFit, k: int) -> LinearFit:
     """The fit with pole ``k`` twice."""
-    n = fit.n_modes
-    index = np.insert(np.arange(n), k, k)
-    both = np.concatenate([index, n + index])
-    p = fit.projection
-    projection = replace(
-        p,
-        a=p.a[:, index],
-        b=p.b[:, index],
-        shift=p.shift[:, index],
-        shifted=p.shifted[:, both],
-        normal=p.normal[np.ix_(both, both)],
-        gradient=p.gradient[:, both],
-        evidence=p.evidence[:, index],
-        a_std=p.a_std[:, index],
-        slope=p.slope[:, index][:, :, both],
-        spread_sums=p.spread_sums[:, index],
-    )
-    second = tuple(i + (i > k) for i in fit.second_shapes)
-    return replace(
-        fit, poles=fit.poles.take(index), projection=projection, covariance=fit.covariance[np.ix_(both, both)], second_shapes=second
-    )
+    twice = fit.take(np.insert(np.arange(fit.n_modes), k, k))
+    return replace(twice, second_shapes=tuple(i + (i > k) for i in fit.second_shapes))

@@ -151,6 +151,12 @@ class LinearFit:
         )
         return replace(self, pairs=self.pairs.turned(dofs), projection=projection)
 
+    def take(self, modes: NDArray[np.int_]) -> LinearFit:
+        """The fit with some of its modes, in this order; one may be taken twice."""
+        both = np.concatenate([modes, self.n_modes + modes])
+        covariance = self.covariance[np.ix_(both, both)]
+        return replace(self, poles=self.poles.take(modes), projection=self.projection.take(modes), covariance=covariance)
+
     def residues(self) -> Complex:
         """a + ib, (P, n)."""
         return np.asarray(self.projection.a + 1j * self.projection.b)
@@ -267,23 +273,5 @@ def keep_modes(fit: LinearFit, keep: NDArray[Any]) -> tuple[Poles, Coefficients]
 
 def _sorted(fit: LinearFit) -> LinearFit:
     """The fit with its modes by rising frequency."""
-    k = np.argsort(fit.poles.hz)
-    if np.all(np.diff(k) > 0):
-        return fit
-    n = k.size
-    both = np.concatenate([k, n + k])
-    p = fit.projection
-    projection = replace(
-        p,
-        a=p.a[:, k],
-        b=p.b[:, k],
-        shift=p.shift[:, k],
-        shifted=p.shifted[:, both],
-        normal=p.normal[np.ix_(both, both)],
-        gradient=p.gradient[:, both],
-        evidence=p.evidence[:, k],
-        a_std=p.a_std[:, k],
-        slope=p.slope[:, k][:, :, both],
-        spread_sums=p.spread_sums[:, k],
-    )
-    return replace(fit, poles=fit.poles.take(k), projection=projection, covariance=fit.covariance[np.ix_(both, both)])
+    order = np.argsort(fit.poles.hz)
+    return fit if np.all(np.diff(order) > 0) else fit.take(order)

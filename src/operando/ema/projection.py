@@ -118,6 +118,14 @@ class Projection:
         """(a, b, δ): the start of the fit of nearly the same poles."""
         return self.a, self.b, self.shift
 
+    def take(self, modes: NDArray[np.int_]) -> Projection:
+        """Of some of the modes, in this order; one may be taken twice."""
+        both = np.concatenate([modes, self.a.shape[1] + modes])
+        by_mode = {name: getattr(self, name)[:, modes] for name in ("a", "b", "shift", "evidence", "a_std", "spread_sums")}
+        by_pole = {name: getattr(self, name)[:, both] for name in ("shifted", "gradient")}
+        slope = self.slope[:, modes][:, :, both]
+        return replace(self, **by_mode, **by_pole, normal=self.normal[np.ix_(both, both)], slope=slope)
+
 
 def basis(f: Real, poles: Poles, rate: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
     """Columns g, h (quadrature) and their derivatives by ln f and ln ζ: g, h, gf, hf, gz, hz, each (n, L)."""

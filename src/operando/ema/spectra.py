@@ -359,8 +359,8 @@ def _fit_noise(
             clean = np.where(common[rows] < 0.3 * np.maximum(power[rows], 1e-300), power[rows] - common[rows], np.nan)
             enough = np.sum(np.isfinite(clean), axis=0) >= max(3, rows.sum() // 8)
             fallback = np.quantile(power[rows], 0.1, axis=0)
-            with np.errstate(all="ignore"):
-                centre = np.where(enough, _nanmedian(clean), fallback)
+            centre = fallback.copy()
+            centre[enough] = np.nanmedian(clean[:, enough], axis=0)
             vx[b] = np.maximum(centre, 1e-6 * fallback + 1e-300)
         vx_block = vx[band_of_block]
         # Force noise from the cross terms between responses (free of response noise), each weighted by its own variance.
@@ -386,12 +386,3 @@ def _fit_noise(
     edges = np.minimum((np.arange(n_lines) // width) * n_bands // n_blocks, n_bands - 1)
     vx_line = vx[edges].T
     return np.ascontiguousarray(vx_line), np.repeat(vf[:, None], n_lines, axis=1)
-
-
-def _nanmedian(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    out = np.full(values.shape[1], np.nan)
-    for j in range(values.shape[1]):
-        column = values[np.isfinite(values[:, j]), j]
-        if column.size:
-            out[j] = np.median(column)
-    return out
