@@ -218,18 +218,11 @@ def _identify(job: _Job, max_order: int | None) -> ModalModel:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """One of the two answers, with what the details tell of it."""
+    """One of the two answers, with what the details tell of it alone."""
 
     model: ModalModel
     poles: tuple[Real, Real, Real]  # frequencies, damping ratios, shapes of the modes
-    misfit_by_row: Real
-    free_misfit: float
-    fit_misfit: float
-    converged: bool
-    lower: bool
-    fit_band: tuple[float, float]
-    rejected: tuple[RejectedPole, ...]
-    rounds: tuple[str, ...]
+    details: EmaDetails
     findings: list[Finding]
 
 
@@ -261,21 +254,16 @@ def _answer(
     answer = "linear" if found is None else "polished"
     if found is None:
         found = _linear(job, pairs, (fit, whole), log, kept, mass, turned, signs)
-    stabilization = _diagram(job, found.fit_band, max_order, found.findings, *found.poles)
-    details = EmaDetails(
-        stabilization,
-        (*found.rejected, *(() if stabilization is None else stabilization.rejected)),
-        found.rounds,
-        found.fit_band,
-        found.misfit_by_row,
-        found.fit_misfit,
-        found.converged,
-        found.lower,
+    stabilization = _diagram(job, found.details.fit_band_hz, max_order, found.findings, *found.poles)
+    rejected = (*found.details.rejected, *(() if stabilization is None else stabilization.rejected))
+    details = replace(
+        found.details,
+        stabilization=stabilization,
+        rejected=rejected,
         answer=answer,
         answer_reason=reason,
         linear=kept,
         candidates=candidates,
-        free_misfit=found.free_misfit,
     )
     return replace(found.model, findings=(*found.model.findings, *findings, *found.findings), details=details)
 
@@ -318,20 +306,20 @@ def _polished(
     drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
     scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
     said = [*fit_findings(job.frf, job.band, signs), *misfit_findings(answer.misfit, answer.free_misfit, {"outside": answer.misfit})]
-    outcome = _Outcome(
-        polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled),
-        (theta.hz, theta.zeta, theta.shapes),
+    details = EmaDetails(
+        None,
+        tuple(answer.log.rejected),
+        (*log.rounds, *answer.log.rounds),
+        fit_band,
         answer.misfit_by_row,
-        answer.free_misfit,
         answer.fit.cost / answer.fit.n_data,
         answer.fit.converged,
         answer.lower,
-        fit_band,
-        tuple(answer.log.rejected),
-        (*log.rounds, *answer.log.rounds),
-        [*said, *(turned_finding(str(job.dofs[row])) for row in answer.turned)],
+        free_misfit=answer.free_misfit,
     )
-    return outcome, reason
+    model = polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled)
+    said += [turned_finding(str(job.dofs[row])) for row in answer.turned]
+    return _Outcome(model, (theta.hz, theta.zeta, theta.shapes), details, said), reason
 
 
 def _linear(
@@ -357,24 +345,24 @@ def _linear(
         if e.doubts
     ]
     undriven = len(job.dofs) - np.unique(fit.pairs.columns).size
-    return _Outcome(
-        model,
-        (fit.mean_hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]),
-        np.full(len(job.dofs), np.nan) if left is None else left.by_row,
-        nothing if left is None else left.free,
-        float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain)),
-        True,
-        True,
-        fit.ends_hz,
+    details = EmaDetails(
+        None,
         (*doubtful, *log.rejected),
         tuple(log.rounds),
-        [
-            *fit_findings(job.frf, job.band, signs),
-            *([] if left is None else misfit_findings(left.misfit, left.free, left.parts)),
-            *linear_findings(kept, job.band, undriven if model.n_residuals < undriven else 0),
-            *(turned_finding(str(job.dofs[row])) for row in turned),
-        ],
+        fit.ends_hz,
+        np.full(len(job.dofs), np.nan) if left is None else left.by_row,
+        float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain)),
+        converged=True,
+        lower_residual=True,
+        free_misfit=nothing if left is None else left.free,
     )
+    findings = [
+        *fit_findings(job.frf, job.band, signs),
+        *([] if left is None else misfit_findings(left.misfit, left.free, left.parts)),
+        *linear_findings(kept, job.band, undriven if model.n_residuals < undriven else 0),
+        *(turned_finding(str(job.dofs[row])) for row in turned),
+    ]
+    return _Outcome(model, (fit.mean_hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]), details, findings)
 
 
 def _polish_wanted(job: _Job, fit: LinearFit) -> tuple[bool, str]:
