@@ -56,7 +56,7 @@ def check_channels(record: TimeRecord) -> list[Finding]:
     out: list[Finding] = []
     for i in range(len(record.channels)):
         if i in flat:
-            out.append(_finding(record, i, "flat", flat[i], None, "warning", "the channel says nothing", "check cable and sensor"))
+            out.append(_finding(record, i, "flat", flat[i], "the channel says nothing", "check cable and sensor"))
         else:
             out += _check_samples(record, i, i in impact, period)
     return out
@@ -93,7 +93,7 @@ def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None)
         needed = record.force_indices and (record.channels[i].is_force or record.response_indices == [i])
         severity: Severity
         severity, consequence = ("warning", "blocks with them are left out") if needed else ("error", "the channel is left out")
-        out.append(_finding(record, i, "nan", text, whole, severity, consequence, "exclude the channel or repair the file"))
+        out.append(_finding(record, i, "nan", text, consequence, "exclude the channel or repair the file", whole, severity))
     x = _finite(record, i)
     runs = constant_runs(x)
     clipped = [] if impact else overload(x, runs)  # a pulse that is cut is judged with the hits
@@ -107,32 +107,18 @@ def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None)
         for n, span in enumerate(_joined(clipped, max(16, x.size // 200))):
             text = f"{count} samples in {len(clipped)} runs at full scale {level:.4g} {unit}"
             text = text if n == 0 else f"clipped at full scale {level:.4g} {unit}"
-            out.append(
-                _finding(
-                    record,
-                    i,
-                    "overload",
-                    text,
-                    span,
-                    "warning",
-                    "harmonics and a wrong level; blocks with it are left out",
-                    "choose a larger input range",
-                )
-            )
+            consequence = "harmonics and a wrong level; blocks with it are left out"
+            out.append(_finding(record, i, "overload", text, consequence, "choose a larger input range", span))
     elif not impact and (soft := soft_clipping(x)) is not None:
         text = f"crest factor {soft.crest:.2f} and slope at the top {100 * soft.slope_ratio:.0f} % of that in the middle (mean square)"
-        out.append(
-            _finding(record, i, "soft_clip", text, None, "warning", "large values are compressed", "check amplifier and sensor range")
-        )
+        out.append(_finding(record, i, "soft_clip", text, "large values are compressed", "check amplifier and sensor range"))
     if not impact:
         lost = [s for s in dropouts(x, runs) if not (bad and any(b.first <= s.last and s.first <= b.last for b in bad))]
         lost = [s for s in lost if not (s.first == 0 and _all_constant(record, s))]
         if not (record.channels[i].is_force and sum(s.length for s in lost) > 0.2 * x.size):
             for span in _joined(lost, 16):
                 text = f"{span.length} samples of one value ({float(x[span.first]):.3g} {unit})"
-                out.append(
-                    _finding(record, i, "dropout", text, span, "warning", "blocks with it are left out", "check cable and connector")
-                )
+                out.append(_finding(record, i, "dropout", text, "blocks with it are left out", "check cable and connector", span))
     return out
 
 
@@ -166,7 +152,7 @@ def _cut_finding(record: TimeRecord, i: int, piled: PileUp) -> Finding:
         )
     else:
         consequence = f"FRFs at this DOF are about {-20 * np.log10(1 - share):.1f} dB too small, with harmonics"
-    return _finding(record, i, "overload", text, piled.span, "warning", consequence, "choose a larger input range, or a smaller force")
+    return _finding(record, i, "overload", text, consequence, "choose a larger input range, or a smaller force", piled.span)
 
 
 def _all_constant(record: TimeRecord, span: Span) -> bool:
@@ -188,8 +174,16 @@ def _joined(spans: Sequence[Span], gap: int) -> list[Span]:
 
 
 def _finding(
-    record: TimeRecord, i: int, kind: str, text: str, span: Span | None, severity: Severity, consequence: str, action: str
+    record: TimeRecord,
+    i: int,
+    kind: str,
+    text: str,
+    consequence: str,
+    action: str,
+    span: Span | None = None,
+    severity: Severity = "warning",
 ) -> Finding:
+    """A finding about one channel, or about some of its samples."""
     channel = record.channels[i]
     time = None
     if span is not None:
@@ -263,22 +257,12 @@ def _check_origin(record: TimeRecord, force: int, responses: list[int]) -> list[
         text = f"{100 * share.max():.0f} % of the response power follows the force, no more than by chance"
         consequence = "the FRFs are noise: this force did not drive these responses"
         action = "check that force and responses are of the same run, and that the force sensor was connected"
-        return [_finding(record, force, "force_unrelated", text, None, "error", consequence, action)]
+        return [_finding(record, force, "force_unrelated", text, consequence, action, severity="error")]
     if float(np.median(share)) < DRIVEN:
         text = f"only {100 * np.median(share):.0f} % of the response power (median of {len(responses)}) follows the force"
         consequence = f"other sources, noise or a nonlinearity make the rest: FRFs with {label} have a large variance"
-        return [
-            _finding(
-                record,
-                force,
-                "unmeasured_excitation",
-                text,
-                None,
-                "warning",
-                consequence,
-                "average more, drive harder, or stop other sources",
-            )
-        ]
+        action = "average more, drive harder, or stop other sources"
+        return [_finding(record, force, "unmeasured_excitation", text, consequence, action)]
     return []
 
 
@@ -291,29 +275,16 @@ def _check_sign(record: TimeRecord, force: int, drive: int, responses: list[int]
         return []
     if share < INVERTED_SHARE:
         text = f"drive point {label}: {100 * (1 - share):.0f} % of the power at the force flows out of the structure"
-        return [
-            _finding(
-                record,
-                drive,
-                "inverted",
-                text,
-                None,
-                "error",
-                "force or response has the wrong sign: negative modal masses",
-                "turn one of the two in [channels]",
-            )
-        ]
+        consequence = "force or response has the wrong sign: negative modal masses"
+        return [_finding(record, drive, "inverted", text, consequence, "turn one of the two in [channels]", severity="error")]
     others = [r for r, s in zip(responses, shares, strict=True) if r != drive and s > SWAPPED_SHARE]
     if share < 0.75 and len(others) == 1:
         text = (
             f"drive point {label}: only {100 * share:.0f} % of the power at the force flows into the structure, "
             f"but {100 * shares[responses.index(others[0])]:.0f} % at {record.channels[others[0]].label}"
         )
-        return [
-            _finding(
-                record, drive, "swapped", text, None, "warning", "the two channels may be exchanged", "check the cables of the two channels"
-            )
-        ]
+        action = "check the cables of the two channels"
+        return [_finding(record, drive, "swapped", text, "the two channels may be exchanged", action)]
     return []
 
 

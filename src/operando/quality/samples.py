@@ -43,8 +43,7 @@ def constant_runs(x: Array, shortest: int = 2) -> list[Span]:
     equal = x[1:] == x[:-1]
     if not equal.any():
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], equal, [False]]).astype(np.int8)))
-    starts, stops = edges[::2], edges[1::2]  # run covers starts .. stops
+    starts, stops = _stretches(equal)  # run covers starts .. stops
     keep = stops - starts + 1 >= shortest
     return [Span(int(a), int(b)) for a, b in zip(starts[keep], stops[keep], strict=True)]
 
@@ -54,8 +53,13 @@ def not_finite(x: Array) -> list[Span]:
     bad = ~np.isfinite(x)
     if not bad.any():
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
-    return [Span(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [Span(int(a), int(b) - 1) for a, b in zip(*_stretches(bad), strict=True)]
+
+
+def _stretches(where: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample of each stretch that is true, and one past its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
+    return edges[::2], edges[1::2]
 
 
 def smallest_step(x: Array) -> float:
