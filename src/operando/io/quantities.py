@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
 from math import isfinite
@@ -170,9 +170,9 @@ def _sensed(scale: Scale, spec: Mapping[str, Any]) -> Scale:
     if sensitivity is None:
         return scale
     value = float(sensitivity)
-    if not value or value != value or abs(value) == float("inf"):
+    if not value or not isfinite(value):
         raise ConfigError(f"sensitivity {sensitivity!r} is no number to divide by", where="[channels]")
-    return Scale(scale.quantity, scale.unit, scale.factor / value, scale.source_unit, scale.origin, scale.problem)
+    return replace(scale, factor=scale.factor / value)
 
 
 def find_spec(channels: ChannelSpecs | None, name: str, dof: Dof | None, is_force: bool, position: int | None = None) -> Mapping[str, Any]:
