@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 import models
 from measurements import record, running_chain
 from operando.atomic import write_json
-from operando.config import State, Test
+from operando.config import Analysis, State, Test
 from operando.data import Finding, Provenance, force_rms, level_groups
 from operando.errors import DataError, WriteError
 from operando.frf import merge_frfs
@@ -21,7 +22,9 @@ from operando.pipeline import run
 from operando.pipeline.folder import key_of
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.levels import check_frfs
-from operando.pipeline.stages import offered, runs_behind
+from operando.pipeline.stages import Work, runs_behind
+from operando.pipeline.stages.oma import operational_modes
+from operando.results import Results
 
 
 def runs(*levels_and_masses):
@@ -119,10 +122,12 @@ def test_runs_set_aside_do_not_come_back():
     assert runs_behind(replace(frf, provenance=Provenance()), records) == records
 
 
-def test_settings_without_effect_are_said():
-    findings = []
-    assert offered(lambda a, b: None, findings, a=1, b=None, c=2) == {"a": 1}
-    assert [(f.kind, "setting c" in f.message) for f in findings] == [("setting_unused", True)]
+def test_settings_without_effect_are_said(monkeypatch):
+    monkeypatch.setattr("operando.oma.fit_oma", lambda records, **settings: settings)
+    test = Test("pump", analysis=Analysis(exclude_bands=((20.0, 30.0),)))
+    inputs = SimpleNamespace(records=lambda state, force: [])
+    [finding] = operational_modes(Work(test, inputs, Results("pump")))["findings"]
+    assert (finding.kind, "exclude_bands" in finding.message) == ("setting_unused", True)
 
 
 def test_records_beyond_the_memory_limit_are_read_again(tmp_path, monkeypatch):

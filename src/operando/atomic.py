@@ -32,13 +32,7 @@ unfinished: set[Path] = set()
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[None]:
-    """What the operating system refuses inside the block, as a typed error that names the file.
-
-    Raises
-    ------
-    WriteError
-        If writing fails.
-    """
+    """What the operating system refuses inside the block, as a typed error that names the file."""
     try:
         yield
     except OSError as error:
@@ -85,13 +79,7 @@ def replacing(path: str | Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[
 
 
 def refuse_source(target: str | Path, *sources: str | Path) -> None:
-    """Refuse to write over a file that is being read: measurements are not recorded twice.
-
-    Raises
-    ------
-    WriteError
-        If the target is one of the sources.
-    """
+    """Refuse to write over a file that is being read: measurements are not recorded twice."""
     for source in sources:
         with suppress(OSError):  # one of them is not there
             if os.path.samefile(source, target):

@@ -115,18 +115,14 @@ class Test:
 
     Parameters
     ----------
-    name : str
     path : Path or None
         The test file (None for a test made in Python).
-    idle, operating, check : State
-    geometry_file : Path or None
     geometry_units : str or None
         Unit of the coordinates where the file does not say.
     units : dict
         Quantity → unit, used where a file is silent; ``length`` for coordinates, ``sampling_hz`` for tables without a time column.
     channels : dict
         Channel name or DOF → dict of ``dof, quantity, unit, sensitivity, exclude, reason``.
-    analysis : Analysis
     directions : dict
         DOF in its positive sense → unit vector in the geometry's frame, for DOFs that are no axes.
     between : dict
@@ -293,13 +289,7 @@ def parse_text(text: str, path: Path, changes: Sequence[str] = ()) -> Test:
 
 
 def toml_table(text: str, path: Path, hint: Callable[[], str]) -> dict[str, Any]:
-    """The table of a TOML text.
-
-    Raises
-    ------
-    ConfigError
-        If it is none: with the line, and what ``hint`` says.
-    """
+    """The table of a TOML text."""
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -310,13 +300,7 @@ def toml_table(text: str, path: Path, hint: Callable[[], str]) -> dict[str, Any]
 
 
 def text_of(path: Path) -> str:
-    """The text of a test file.
-
-    Raises
-    ------
-    ConfigError
-        If there is none, or it is no text.
-    """
+    """The text of a test file."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:

@@ -11,13 +11,7 @@ from operando.errors import ObjectError
 
 
 def path_of(value: object, what: str, hint: str = "give a text or a pathlib.Path") -> Path:
-    """A path, or an error that says what needs one.
-
-    Raises
-    ------
-    ObjectError
-        If it is neither a text nor a path.
-    """
+    """A path, or an error that says what needs one."""
     if not isinstance(value, str | os.PathLike):
         found = "a module" if isinstance(value, ModuleType) else type(value).__name__
         raise ObjectError(f"{what}, not {found}", hint=hint)

@@ -46,11 +46,6 @@ class State:
         FRFs measured elsewhere.
     spans : tuple of Span or None
         One for each of ``records``, None where all of it counts; empty: all of all.
-
-    Raises
-    ------
-    ConfigError
-        If there are spans, but not as many as records.
     """
 
     records: tuple[Path, ...] = ()
@@ -80,13 +75,7 @@ MOST_NAMES = 2000
 
 
 def find_files(patterns: Sequence[str], folder: Path, where: Entry) -> tuple[Path, ...]:
-    """Files that paths and patterns name, each once, in natural order.
-
-    Raises
-    ------
-    ConfigError
-        If a pattern matches no file; a file of a similar name is told.
-    """
+    """Files that paths and patterns name, each once, in natural order."""
     found: dict[Path, None] = {}
     for pattern in patterns:
         try:

@@ -92,13 +92,6 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
         ``model.h5``, or a results folder that holds one.
     only : iterable of str, optional
         Names of the fields wanted (the others keep their defaults); default all.
-
-    Raises
-    ------
-    MissingError
-        If there is no such file.
-    FormatError
-        If it is no results file of operando, or damaged.
     """
     from operando.io import UNREADABLE, check_objects, opened_hdf5, read_objects
 

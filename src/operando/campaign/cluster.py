@@ -59,15 +59,7 @@ class DaskPool:
 
 @contextmanager
 def dask_pool(workers: Workers, say: Callable[[str], None]) -> Iterator[DaskPool]:
-    """A pool that ends with the block.
-
-    Raises
-    ------
-    MissingError
-        If Dask, or what starts the cluster, is not installed.
-    OperandoError
-        If the scheduler cannot be reached.
-    """
+    """A pool that ends with the block."""
     try:
         from distributed import Client
     except ImportError:

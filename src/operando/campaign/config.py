@@ -78,7 +78,6 @@ class Member:
         Test file, its URL in an object store, or the template.
     template : str or None
         Text of the template; None: the file as it is.
-    row : Row
     """
 
     number: int

@@ -91,13 +91,7 @@ def _toml(value: Any, where: str) -> str:
 
 
 def read_table(path: Path) -> tuple[list[Row], dict[str, str]]:
-    """Rows and units of a CSV table with a header line ``name [unit]``; separators ``,``, ``;`` (with decimal comma) and tab.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, has no rows, or rows of another length.
-    """
+    """Rows and units of a CSV table with a header line ``name [unit]``; separators ``,``, ``;`` (with decimal comma) and tab."""
     try:
         lines = [line for line in text_of(path).splitlines() if line.strip() and not line.lstrip().startswith("#")]
     except IsADirectoryError:

@@ -219,13 +219,7 @@ def parse_lines(text: str) -> Any:
 
 
 def check_lines(lines: Any, measured: Frf, where: str) -> None:
-    """Lines asked for must lie within those of the idle FRFs: nothing beyond them was ever compared with a measurement.
-
-    Raises
-    ------
-    ConfigError
-        If one does not; the nearest range is named.
-    """
+    """Lines asked for must lie within those of the idle FRFs: nothing beyond them was ever compared with a measurement."""
     from operando.errors import ConfigError
 
     low, high = float(measured.frequencies_hz[0]), float(measured.frequencies_hz[-1])

@@ -28,11 +28,6 @@ def load_model(path: str, route: str | None = None, level: float | None = None) 
 
     Without a route it is the hybrid one, or the idle model where there is no hybrid one. By the route ``effect``, level-dependent effects
     follow the force of the measurement, unless a level [N rms] is given.
-
-    Raises
-    ------
-    MissingError
-        If there is no model that makes FRFs, or none by this route.
     """
     results = _results(path)
     if results is not None:
@@ -90,13 +85,7 @@ def _advice(results: Results) -> str:
 
 
 def load_measured(path: str) -> list[CheckRun]:
-    """Measured FRFs of a file; records with a force are estimated first; of a results folder its validation measurements.
-
-    Raises
-    ------
-    MissingError
-        If there is no measurement with a force.
-    """
+    """Measured FRFs of a file; records with a force are estimated first; of a results folder its validation measurements."""
     from operando.results import CheckRun
 
     results = _results(path)

@@ -39,13 +39,7 @@ def read_test(path: str | Path, changes: tuple[str, ...] = (), second_opinion: b
 
 
 def need_stage(test: Test, stage: str) -> None:
-    """Refuse a command whose stage the test has no data for.
-
-    Raises
-    ------
-    MissingError
-        With what the test lacks.
-    """
+    """Refuse a command whose stage the test has no data for."""
     from operando.errors import MissingError
     from operando.pipeline import lacking
 

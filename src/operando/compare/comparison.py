@@ -306,9 +306,7 @@ def _fit_once() -> _Fit:
 
 
 def compare_all(
-    models: Mapping[str, FrfModel | Frf],
-    runs: Sequence[CheckRun],
-    band_hz: tuple[float, float] | None = None,
+    models: Mapping[str, FrfModel | Frf], runs: Sequence[CheckRun], band_hz: tuple[float, float] | None = None
 ) -> dict[str, Any]:
     """``comparison.json``: every model against the runs of the lowest level, and against each run.
 
@@ -370,10 +368,7 @@ def compare_all(
 
 
 def with_effect(
-    comparison: dict[str, Any],
-    effect: FrfModel | None,
-    runs: Sequence[CheckRun],
-    band_hz: tuple[float, float] | None = None,
+    comparison: dict[str, Any], effect: FrfModel | None, runs: Sequence[CheckRun], band_hz: tuple[float, float] | None = None
 ) -> dict[str, Any]:
     """``comparison.json`` with the idle model and its effects compared anew, all models without them as they were.
 

@@ -42,12 +42,7 @@ class Lines:
     def where(self, mask: NDArray[np.bool_]) -> Lines:
         """Some of the lines."""
         return Lines(
-            self.model[mask],
-            self.measured[mask],
-            self.var_meas[mask],
-            self.var_model[mask],
-            self.response[mask],
-            self.frequency_hz[mask],
+            self.model[mask], self.measured[mask], self.var_meas[mask], self.var_model[mask], self.response[mask], self.frequency_hz[mask]
         )
 
     @property

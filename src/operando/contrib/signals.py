@@ -23,15 +23,6 @@ def checked_signals(sampling_hz: float, several: str = "", **signals: ArrayLike)
     **signals : array_like
         By the names that messages give them.
 
-    Returns
-    -------
-    list of array
-
-    Raises
-    ------
-    DataError
-        If the rate is not above 0, a signal has another shape or length, or a sample is not a finite number.
-
     Examples
     --------
     >>> checked_signals(100.0, force=[0, 1], response=[2, 3])[1].tolist()

@@ -82,13 +82,7 @@ def run_and_tell(
 
 
 def results_go_to(out: Path) -> None:
-    """Refuse a file where a folder is expected.
-
-    Raises
-    ------
-    ConfigError
-        If there is one.
-    """
+    """Refuse a file where a folder is expected."""
     if out.exists() and not out.is_dir():
         raise ConfigError("is a file, expected a folder for the results", where=str(out), hint="choose another name with -o")
 

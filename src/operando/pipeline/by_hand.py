@@ -100,13 +100,7 @@ def _changed(folder: str, doing: str, effects: Callable[[Results], list[Effect]]
 
 
 def present(folder: str) -> Results:
-    """Results of the folder, with idle model and check.
-
-    Raises
-    ------
-    MissingError
-        If either is missing.
-    """
+    """Results of the folder, with idle model and check."""
     from operando.store import load_results
 
     results = load_results(folder)
@@ -134,13 +128,7 @@ def left_out(results: Results) -> list[tuple[float, float]]:
 
 
 def check_records(folder: str, results: Results) -> list[TimeRecord]:
-    """The check's records, read again from the files that the check FRFs were made of.
-
-    Raises
-    ------
-    MissingError
-        If a file is not there any more or has changed, or the check was given as FRFs.
-    """
+    """The check's records, read again from the files that the check FRFs were made of."""
     from operando.data import file_hash
     from operando.io import read
     from operando.quality import check_record
@@ -252,11 +240,6 @@ def not_twice(effects: list[Effect], folder: str) -> None:
     """Two effects of one kind at one location are one effect where their sizes add up: no data tell the two apart.
 
     Sizes add up in the kinds of operando with one parameter, excitation aside. Of a user's own kinds that is not known.
-
-    Raises
-    ------
-    ConfigError
-        If the model would hold such a pair.
     """
     seen: dict[tuple[str, str], int] = {}
     for step, effect in enumerate(effects, 1):

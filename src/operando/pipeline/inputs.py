@@ -125,11 +125,6 @@ class Inputs:
         """Records of a state with responses, and with a force if asked for, with the channels that every stage uses.
 
         Which these are is decided here, once (:func:`operando.frf.usable_channels`); what is left out stands in ``findings``.
-
-        Raises
-        ------
-        MissingError
-            If no file holds such a record.
         """
         found = []
         for file, span in state.runs:
@@ -186,13 +181,7 @@ class Inputs:
         return usable
 
     def frf(self, state: State) -> Frf:
-        """FRFs of all FRF files of a state in one matrix.
-
-        Raises
-        ------
-        MissingError
-            If no file holds FRFs.
-        """
+        """FRFs of all FRF files of a state in one matrix."""
         contents = [self.content(file) for file in state.frfs]
         frfs = [h for content in contents if content is not None for h in content.frfs]
         if not frfs:
@@ -285,13 +274,7 @@ class Inputs:
         return check_geometry(self.test, geometry, self._names)
 
     def check_hits(self, inventory: Sequence[dict[str, Any]]) -> None:
-        """Whether every hit that the test file rejects is there.
-
-        Raises
-        ------
-        UnfitTest
-            If one is not; how many hits there are is said.
-        """
+        """Whether every hit that the test file rejects is there."""
         from operando.frf.hits import rejected_numbers
 
         counts = {row["file"]: len(row.get("hits") or ()) for row in inventory}

@@ -247,13 +247,7 @@ def _check_frequencies(test: Test, lines: Mapping[str, list[tuple[Path, Lines]]]
 
 
 def check_geometry(test: Test, geometry: Geometry | None, names: Mapping[Path, Names]) -> list[Finding]:
-    """The finding for measured nodes that the geometry lacks.
-
-    Raises
-    ------
-    UnfitTest
-        If the geometry file named holds none of the measured nodes.
-    """
+    """The finding for measured nodes that the geometry lacks."""
     nodes = sorted({dof.node for n in names.values() for dof in n.dofs}, key=split_node)
     if geometry is None or not nodes:
         return []

@@ -175,13 +175,7 @@ def along_axes(model: ModalModel, directions: Mapping[str, Sequence[float]], nam
 
 
 def ofrf_lines(results: Results) -> Any:
-    """Lines of the idle FRFs [Hz].
-
-    Raises
-    ------
-    MissingError
-        If there are none.
-    """
+    """Lines of the idle FRFs [Hz]."""
     if results.idle_frf is None:
         raise MissingError(
             "there are no idle FRFs whose lines the operational FRFs could lie on", hint="give the lines: --frequencies A:B:STEP"

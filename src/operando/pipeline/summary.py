@@ -46,11 +46,13 @@ def _idle(results: Results) -> dict[str, Any] | None:
             out |= {"answer": {"used": details.answer, "reason": details.answer_reason}, "linear": linear.to_dict()}
     frf = results.idle_frf
     if frf is not None:
+        from operando.frf import reciprocity_error
+
         out["frf"] = {
             "references": _texts(frf.references),
             "responses": _texts(frf.responses),
             "averages": frf.averages,
-            "reciprocity_error": _reciprocity(frf),
+            "reciprocity_error": reciprocity_error(frf),
             "lines": len(frf.axis),
             "band_hz": [float(frf.frequencies_hz[0]), float(frf.frequencies_hz[-1])],
             "si": frf.si,
@@ -69,21 +71,8 @@ def _operating(results: Results) -> dict[str, Any] | None:
     return (
         results.operating.to_dict()
         | merged
-        | {
-            "harmonics_hz": [float(f) for f in harmonics],
-            "band_hz": results.operating.band_hz,
-            "calls": results.operating.provenance.calls,
-        }
+        | {"harmonics_hz": [float(f) for f in harmonics], "band_hz": results.operating.band_hz, "calls": results.operating.provenance.calls}
     )
-
-
-def _reciprocity(frf: Any) -> float | None:
-    """Relative difference of H and its transpose over the pairs measured both ways; None where there is no such pair."""
-    import operando.frf as room
-
-    measure = getattr(room, "reciprocity_error", None)
-    value = None if measure is None else measure(frf)
-    return None if value is None else float(value)
 
 
 def _texts(dofs: Any) -> list[str]:

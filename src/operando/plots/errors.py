@@ -210,13 +210,7 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
 
 
 def draw_errors(rows: Sequence[dict[str, Any]], axes: Axes | None, *, by: str, floor: float | None, hint: str | None = None) -> Axes:
-    """One bar for each row of ``by_dof``, ``by_band`` or ``by_mode``: the level error, or the reduced chi-square where there is none.
-
-    Raises
-    ------
-    DataError
-        If ``by`` is something else, or there is nothing to draw.
-    """
+    """One bar for each row of ``by_dof``, ``by_band`` or ``by_mode``: the level error, or the reduced chi-square where there is none."""
     if by not in ("dof", "band", "mode"):
         raise DataError(f"errors by {by!r} are not known", hint="use dof, band or mode")
     if not rows:

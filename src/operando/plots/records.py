@@ -316,10 +316,7 @@ def _one_unit(record: TimeRecord) -> None:
     kinds = {(c.quantity, c.unit) for c in record.channels}
     if len(kinds) > 1:
         words = ", ".join(f"{q} [{unit_words(u)}]" for q, u in sorted(kinds))
-        raise DataError(
-            f"channels of {words} do not fit the same axes",
-            hint="name channels of one quantity, or leave axes out",
-        )
+        raise DataError(f"channels of {words} do not fit the same axes", hint="name channels of one quantity, or leave axes out")
 
 
 def _quantity(channel: Channel, density: bool = False) -> str:

@@ -88,9 +88,7 @@ def shapes_csv(dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:
 
 
 @drawn
-def mac_matrices(
-    matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]],
-) -> tuple[Figure, str]:
+def mac_matrices(matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]]) -> tuple[Figure, str]:
     """SVG: MAC matrices side by side with values in the cells.
 
     Parameters

@@ -53,7 +53,6 @@ class Drawing(Markup):
 
         Parameters
         ----------
-        figure : matplotlib Figure
         alt : str
             Text alternative.
         csv : str, optional
@@ -89,7 +88,6 @@ def to_svg(figure: Figure, alt: str) -> str:
 
     Parameters
     ----------
-    figure : matplotlib Figure
     alt : str
         Text alternative for readers who do not see it.
 

@@ -46,8 +46,6 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     ----------
     folder, base : Path
         Where the measurements lie, and where the test file will.
-    taken : sequence of Taken
-    seen : Seen
     notes : sequence of str
         Comments at its head.
     band : Band or None

@@ -37,7 +37,6 @@ def make_app(bench: Bench, token: str) -> Flask:
 
     Parameters
     ----------
-    bench : Bench
     token : str
         What the address at the start holds; every request brings it as a cookie, those that change something in a header.
     """

@@ -47,13 +47,6 @@ class Bench:
         The test file that is run; None where it is not known.
     job : Job or None
         The last work in the background.
-
-    Raises
-    ------
-    ConfigError
-        If the test file is wrong.
-    MissingError
-        If there is no such file or folder.
     """
 
     def __init__(self, source: str | Path, output: str | Path | None = None, changes: Sequence[str] = ()) -> None:
@@ -139,13 +132,7 @@ class Bench:
         return None if self.job is None else self.job.state()
 
     def writable(self) -> Draft:
-        """The test file.
-
-        Raises
-        ------
-        MissingError
-            If it cannot be written.
-        """
+        """The test file."""
         if self.draft is None:
             raise MissingError("the test file cannot be changed here", where=str(self.folder), hint=self.why_not)
         return self.draft
@@ -169,13 +156,7 @@ class Bench:
         return words
 
     def exclude(self, channel: str, reason: str) -> None:
-        """Leave a channel out.
-
-        Raises
-        ------
-        ConfigError
-            If no reason is given, or the results have no such channel.
-        """
+        """Leave a channel out."""
         if not reason.strip():
             raise ConfigError("no reason is given", where=f"channel {channel}", hint="write in a few words why it is left out")
         draft, results = self.writable(), self.results

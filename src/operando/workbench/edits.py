@@ -109,18 +109,7 @@ def _section(document: Any, name: str) -> Any:
 
 
 def edited(text: str, edits: Sequence[Edit]) -> str:
-    """The text of a test file with changes; without any it is the same text.
-
-    Parameters
-    ----------
-    text : str
-    edits : sequence of Edit
-
-    Raises
-    ------
-    ConfigError
-        If a change does not fit what the file says.
-    """
+    """The text of a test file with changes; without any it is the same text."""
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 

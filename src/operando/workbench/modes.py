@@ -33,17 +33,11 @@ def take(results: Results, table: Table, state: str, hz: float) -> tuple[Edit, s
 
     Parameters
     ----------
-    results : Results
     table : mapping
         [analysis] of the test file, with changes.
     state : {"idle", "operating"}
     hz : float
         Frequency chosen [Hz].
-
-    Returns
-    -------
-    edit : Edit
-    words : str
 
     Raises
     ------
@@ -93,13 +87,7 @@ def leave(results: Results, table: Table, state: str, hz: float) -> tuple[Edit, 
 
 
 def model_of(results: Results, state: str) -> ModalModel:
-    """The modes of a state.
-
-    Raises
-    ------
-    MissingError
-        If there are none.
-    """
+    """The modes of a state."""
     model = {"idle": results.idle, "operating": results.operating}.get(state)
     if model is None:
         raise MissingError(f"there are no modes of the {state} state", hint="the test lacks its data, or the run ended before")

@@ -16,7 +16,6 @@ class Served:
 
     Parameters
     ----------
-    bench : Bench
     port : int
         0 for a free one.
 

@@ -86,7 +86,6 @@ def channels(results: Results, table: Mapping[str, Any]) -> dict[str, Any]:
 
     Parameters
     ----------
-    results : Results
     table : mapping
         The test file with its changes.
     """

@@ -17,15 +17,9 @@ from operando.pipeline.stages.frf import idle_frf
 from operando.pipeline.stages.libraries import idle_libraries, operating_libraries
 from operando.pipeline.stages.ofrf import hybrid
 from operando.pipeline.stages.oma import operational_modes
-from operando.pipeline.stages.work import (
-    Lacking,
-    Stage,
-    Work,
-    none_read,
-    offered,
-)
+from operando.pipeline.stages.work import Lacking, Stage, Work, none_read
 
-__all__ = ["STEPS", "Lacking", "Stage", "Work", "none_read", "offered", "runs_behind"]
+__all__ = ["STEPS", "Lacking", "Stage", "Work", "none_read", "runs_behind"]
 
 _ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits", "hits_reject")
 _EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands")
@@ -46,41 +40,13 @@ STEPS: tuple[Stage, ...] = (
     ),
     Stage("frf", "frf", idle_frf, settings=("band", *_ESTIMATING), states=("idle",)),
     Stage("automatic", "ema", automatic_modes, ("frf",), _EMA_SETTINGS, ("idle",)),
-    Stage(
-        "ema",
-        "ema",
-        idle_modes,
-        ("frf", "automatic"),
-        (*_EMA_SETTINGS, "modes_hz", "select_hz", "reject_hz"),
-        ("idle",),
-    ),
-    Stage(
-        "oma",
-        "oma",
-        operational_modes,
-        (),
-        ("band", "exclude_bands", *_OMA_SETTINGS),
-        ("operating",),
-    ),
+    Stage("ema", "ema", idle_modes, ("frf", "automatic"), (*_EMA_SETTINGS, "modes_hz", "select_hz", "reject_hz"), ("idle",)),
+    Stage("oma", "oma", operational_modes, (), ("band", "exclude_bands", *_OMA_SETTINGS), ("operating",)),
     Stage("idle_libraries", "ema", idle_libraries, ("frf", "ema"), ("second_opinion",), wanted=_libraries),
-    Stage(
-        "operating_libraries",
-        "oma",
-        operating_libraries,
-        ("oma",),
-        ("second_opinion",),
-        ("operating",),
-        _libraries,
-    ),
+    Stage("operating_libraries", "oma", operating_libraries, ("oma",), ("second_opinion",), ("operating",), _libraries),
     Stage("ofrf", "ofrf", hybrid, ("ema", "oma"), ("threshold", "scaling")),
     Stage("check", "compare", check_runs, (), ("band", *_ESTIMATING), ("check",)),
-    Stage(
-        "compare",
-        "compare",
-        comparison,
-        ("ema", "ofrf", "check"),
-        ("band", "threshold", "exclude_bands"),
-    ),
+    Stage("compare", "compare", comparison, ("ema", "ofrf", "check"), ("band", "threshold", "exclude_bands")),
     Stage(
         "diagnose",
         "diagnose",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from operando.config import Analysis, State
+from operando.config import State
 from operando.data import Finding
 from operando.pipeline.stages.estimate import estimate
 from operando.pipeline.stages.work import Work
@@ -18,16 +18,16 @@ def check_runs(work: Work) -> dict[str, Any]:
     from operando.pipeline.levels import check_frfs
 
     check = work.test.check
-    findings: list[Finding] = []
     runs: list[CheckRun] = []
     if check.records:
         records = work.inputs.records(check, force=True)
         rejected = work.test.rejected_hits(check)
-        runs = check_frfs(records, lambda part: estimate(part, _judging(work.analysis), findings, rejected))
+        # the references of the idle FRFs do not bind those of the validation measurement
+        runs = check_frfs(records, lambda part: estimate(part, replace(work.analysis, references=None), rejected))
     for file in check.frfs:
         runs.append(CheckRun(work.inputs.label(file), "as given", work.inputs.frf(State(frfs=(file,)))))
     checked = [replace(run, frf=check_frf(run.frf, work.analysis.band)) for run in runs]
-    return {"check": of_check(checked), "findings": list(dict.fromkeys(findings))}
+    return {"check": of_check(checked)}
 
 
 def of_check(runs: list[CheckRun]) -> list[CheckRun]:
@@ -43,8 +43,3 @@ def of_check(runs: list[CheckRun]) -> list[CheckRun]:
         return replace(f, message=f"validation measurement{which if apart else ''}: {f.message}")
 
     return [replace(run, frf=replace(run.frf, findings=tuple(named(run, f) for f in run.frf.findings))) for run in runs]
-
-
-def _judging(analysis: Analysis) -> Analysis:
-    """Settings of the check FRFs: the references of the idle FRFs do not bind them."""
-    return replace(analysis, references=None)

@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 
 from operando.config import Analysis, State
 from operando.data import Finding, Frf, TimeRecord
-from operando.pipeline.stages.work import Work, offered
+from operando.pipeline.stages.work import Work
 
 
-def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Finding], rejected: Sequence[str] = ()) -> Frf:
+def estimate(records: list[TimeRecord], analysis: Analysis, rejected: Sequence[str] = ()) -> Frf:
     """``estimate_frf`` with the settings of the test; of the hits rejected by hand those in these records.
 
     Kept to seven digits: measured FRFs have four, and more digits of noise would double the size of the results.
     """
     from operando.frf import estimate_frf
 
-    keywords = offered(
-        estimate_frf,
-        findings,
-        references=analysis.references,
+    frf = estimate_frf(
+        records,
+        references=analysis.references or None,
         estimator=analysis.estimator,
         block_seconds=analysis.block_seconds,
         overlap=analysis.overlap,
@@ -32,7 +31,6 @@ def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Findi
         hits=analysis.hits,
         hits_reject=of_records(rejected, records),
     )
-    frf = estimate_frf(records, **keywords)
     variance, coherence = (None if part is None else _seven_digits(part) for part in (frf.variance, frf.coherence))
     return replace(frf, data=_seven_digits(frf.data), variance=variance, coherence=coherence)
 

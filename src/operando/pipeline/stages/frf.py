@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from operando.data import Finding
 from operando.pipeline.stages.estimate import estimate
 from operando.pipeline.stages.work import Work
 
@@ -14,11 +13,10 @@ def idle_frf(work: Work) -> dict[str, Any]:
     from operando.frf import check_frf
 
     idle = work.test.idle
-    findings: list[Finding] = []
     if idle.frfs:
         frf = work.inputs.frf(idle)
         if work.analysis.references is not None:
             frf = frf.select(references=work.analysis.references)
     else:
-        frf = estimate(work.inputs.records(idle, force=True), work.analysis, findings, work.test.rejected_hits(idle))
-    return {"idle_frf": check_frf(frf, work.analysis.band), "findings": findings}
+        frf = estimate(work.inputs.records(idle, force=True), work.analysis, work.test.rejected_hits(idle))
+    return {"idle_frf": check_frf(frf, work.analysis.band)}

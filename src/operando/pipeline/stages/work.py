@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import inspect as introspection
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from operando.config import Analysis, Test
-from operando.data import Finding
 from operando.errors import MissingError
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.lacks import lacking
@@ -72,17 +70,6 @@ class Stage:
     def which(self) -> str:
         """Which step of its stage it is, in brackets; nothing where it is named after the stage."""
         return f" ({self.name})" if self.name != self.part_of else ""
-
-
-def offered(function: Callable[..., Any], findings: list[Finding], **keywords: Any) -> dict[str, Any]:
-    """The keywords that have a value and that the function knows; one it does not know becomes a finding."""
-    known = introspection.signature(function).parameters
-    given = {key: value for key, value in keywords.items() if value is not None and value != ()}
-    for key in given:
-        if key not in known:
-            message = f"setting {key} has no effect on {function.__name__}"
-            findings.append(Finding("setting_unused", message, "warning", consequence="this stage runs as if it were not set"))
-    return {key: value for key, value in given.items() if key in known}
 
 
 def needed(value: Any, what: str) -> Any:
