@@ -14,13 +14,12 @@ from exact import IN_BAND, KEPT, LINES, OUTPUTS, ExactStudy
 from experiment import Experiment
 from page_experiment import experiment_checks, experiment_section
 from raw import SOURCES, RawStudy, coverage, exact_frf
+from tables import esc, table, tag
 from tripod import DESIGNS, Modes
 
 from operando.indicators import mac
 from operando.report.figures_modes import mac_matrices
 from operando.report.page import asset
-from operando.report.parts import table, tag
-from operando.report.text import esc
 
 METHOD_NAMES = {
     "idle_by_order": "idle shapes, paired by order",

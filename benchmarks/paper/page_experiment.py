@@ -11,11 +11,10 @@ import published
 from checks import Check
 from experiment import BAND, INPUTS, LINES, OUTPUTS, SELECTIONS, THRESHOLD, Experiment, frf
 from legs import DOFS, State
+from tables import esc, table
 
 from operando.indicators import mac
 from operando.report.figures_modes import mac_matrices
-from operando.report.parts import table
-from operando.report.text import esc
 
 Array = np.ndarray
 

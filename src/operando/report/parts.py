@@ -6,7 +6,7 @@ import base64
 import functools
 import gzip
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
@@ -44,10 +44,6 @@ class Numbering:
         self.n += 1
         return self.n
 
-    def figure(self, drawing: Markup, caption: str) -> Markup:
-        """A numbered figure with its caption."""
-        return render("figure.html.j2", self, drawing=drawing, caption=caption)
-
     def once(self, key: str, make: Callable[[], Any]) -> Any:
         """The value under a key, made the first time."""
         if key not in self._kept:
@@ -55,19 +51,19 @@ class Numbering:
         return self._kept[key]
 
 
-def render(template: str, page: Numbering | None = None, /, **values: Any) -> Markup:
+def render(template: str, page: Numbering | None = None, room: str = "report", /, **values: Any) -> Markup:
     """HTML of one template; every value in it that is no ``Markup`` is shown as text.
 
     Parameters
     ----------
     template : str
-        File in ``templates/``.
+        File in ``templates/`` of the room, or of the report.
     page : Numbering, optional
         Counts the figures.
     **values
         What the template names.
     """
-    return without_blank_lines(environment().get_template(template).render(page=page or Numbering(), **values))
+    return without_blank_lines(environment(room).get_template(template).render(page=page or Numbering(), **values))
 
 
 def without_blank_lines(html: str) -> Markup:
@@ -75,47 +71,10 @@ def without_blank_lines(html: str) -> Markup:
     return Markup(re.sub(r"\n\s*\n", "\n", html))
 
 
-def table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = (), caption: str = "", wide: bool = False,
-    mine: Iterable[int] = (), title: str = "",
-) -> Markup:  # fmt: skip
-    """A table made by hand.
-
-    Parameters
-    ----------
-    numeric : iterable of int
-        Columns aligned to the right.
-    wide : bool
-        Fill the width.
-    mine : iterable of int
-        Rows set off.
-    title : str
-        Bold, before the caption.
-    """
-    right = tuple(numeric)
-    heads = ["#" * (k in right) + h for k, h in enumerate(head)]
-    return render("table.html.j2", head=heads, rows=rows, right=right, title=title, caption=caption, wide=wide, mine=tuple(mine))
-
-
-def tag(word: str, grade: str) -> Markup:
-    """A small framed word; the colour only repeats what the word says."""
-    return Markup('<span class="tag {}">{}</span>').format(grade, shown(word))
-
-
-def paragraph(sentence: str) -> Markup:
-    """One paragraph of plain text."""
-    return Markup("<p>{}</p>").format(shown(sentence))
-
-
-def missing(sentence: str) -> Markup:
-    """The one sentence that stands where a part is missing."""
-    return Markup('<p class="missing">{}</p>').format(shown(sentence))
-
-
 @functools.cache
-def environment() -> Environment:
-    """The templates, which escape everything, stop at an unknown name, and call the functions of ``report.text``."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def environment(room: str = "report") -> Environment:
+    """The templates of a room and of the report, which escape everything, stop at an unknown name and call ``report.text``."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     class Unknown(StrictUndefined):
         """What is not there: false where it is asked for, an error where it would be printed."""
@@ -124,7 +83,8 @@ def environment() -> Environment:
             return False
 
     made = Environment(
-        loader=PackageLoader("operando.report"), autoescape=True, undefined=Unknown, lstrip_blocks=True, finalize=shown,
+        loader=ChoiceLoader([PackageLoader(f"operando.{room}"), PackageLoader("operando.report")]), autoescape=True, undefined=Unknown,
+        lstrip_blocks=True, finalize=shown,
     )  # fmt: skip
     names = ("band_text", "count", "decibel", "finite", "fixed", "listing", "number", "percent", "plain", "plus_minus", "short_names")
     made.globals |= {name: getattr(text, name) for name in names}

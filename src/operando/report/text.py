@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 from typing import Any
 
-from markupsafe import Markup
-
 from operando.indicators import INTERVAL
-from operando.printable import printable
 from operando.structure.effects import with_spread
 
 DASH = "–"
 POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def esc(value: object) -> Markup:
-    """Text safe inside HTML elements and attributes; control characters and direction marks are shown, overlong words cut."""
-    return Markup(html.escape(printable(value), quote=True))
 
 
 def finite(value: Any) -> bool:

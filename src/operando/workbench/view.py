@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 
-from operando.report.parts import environment, without_blank_lines
+from operando.report import parts
 from operando.report.sections_diagnosis import candidate_words
-from operando.report.words_diagnosis import diagnosis_words, effect_words, found_by_itself, found_intro, kind_words, lines_words
+from operando.report.words_diagnosis import diagnosis_words, effect_key, effect_words, found_by_itself, found_intro, kind_words, lines_words
 from operando.results import Results
 from operando.structure.effects import catalogue
 from operando.units import written_unit
 
-if TYPE_CHECKING:
-    from jinja2 import Environment
-
-
-@cache
-def _templates() -> Environment:
-    """Those of the workbench; they may call what those of the report do."""
-    from jinja2 import ChoiceLoader, PackageLoader
-
-    return environment().overlay(loader=ChoiceLoader([PackageLoader("operando.workbench"), PackageLoader("operando.report")]))
-
 
 def render(template: str, **values: Any) -> Markup:
     """HTML of a template; every value in it is shown as text."""
-    return without_blank_lines(_templates().get_template(template).render(page=None, **values))
+    return parts.render(template, None, "workbench", **values)
 
 
 def effects(results: Results) -> dict[str, Any]:
@@ -49,21 +37,17 @@ def effects(results: Results) -> dict[str, Any]:
         return shown
     words = diagnosis_words(document)
     rows = document.get("ladder") or []
-    sizes = {_key(e): effect_words(e) for e in document.get("effects") or []}
+    sizes = {effect_key(e): effect_words(e) for e in document.get("effects") or []}
     steps = []
     for row in rows:
         added = row.get("added")
-        effect = None if added is None else sizes.get(_key(added)) or effect_words(added)
+        effect = None if added is None else sizes.get(effect_key(added)) or effect_words(added)
         errors = [row.get(k) for k in ("error_db", "heldout_error_db", "misfit", "heldout_misfit")]
         steps.append({"step": row["step"], "label": "idle model" if effect is None else effect.label,
                       "size": "" if effect is None else effect.size, "errors": errors})  # fmt: skip
     tried = [(number, *row) for number, row in enumerate(candidate_words(document))]
     return shown | {"words": words, "intro": found_intro(words), "steps": steps, "candidates": tried, "name": kind_words(words.verdict),
                     "lines": lines_words(document.get("judged_on") or {})}  # fmt: skip
-
-
-def _key(effect: Mapping[str, Any]) -> tuple[Any, ...]:
-    return effect["kind"], tuple(effect.get("location") or ()), tuple(effect.get("position") or ())
 
 
 def _kinds(results: Results) -> list[dict[str, Any]]:
