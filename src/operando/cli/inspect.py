@@ -66,9 +66,9 @@ def _names_no_file_has(test: Test) -> OperandoError | None:
 def _quality(path: str, units: Any, channels: Any, known: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """What the raw-data checks find beyond what reading found."""
     from operando.io import read
-    from operando.pipeline.inputs import checked
+    from operando.quality import check_record
 
-    found = [f.to_dict() for record in read(path, units=units, channels=channels).records for f in checked(record).findings]
+    found = [f.to_dict() for record in read(path, units=units, channels=channels).records for f in check_record(record).findings]
     return [f | {"file": f["file"] or Path(path).name} for f in found if f not in known]
 
 

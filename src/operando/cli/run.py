@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from operando.cli.answer import Answer, answers
-from operando.cli.summary import open_report, run_answer
+from operando.cli.summary import run_answer
 from operando.cli.test_file import output_option, read_test, results_folder, test_options
 
 
@@ -35,8 +35,4 @@ def run(test: str, output: str | None, until: str | None, changes: tuple[str, ..
         hint = nearest(until, STAGES)
         raise click.BadParameter(f"{until!r} is no stage; stages: {', '.join(STAGES)}; {hint}", param_hint="--until")
     loaded = read_test(test, changes, second_opinion)
-    out = results_folder(loaded.name, output)
-    answer = run_answer(loaded, out, until)
-    if show:
-        open_report(out / "report.html")
-    return answer
+    return run_answer(loaded, results_folder(loaded.name, output), until, show=show)

@@ -5,18 +5,14 @@ from __future__ import annotations
 import click
 
 from operando.cli.answer import Answer, answers
-from operando.cli.summary import open_report, run_answer
+from operando.cli.summary import run_answer
 from operando.cli.test_file import need_stage, output_option, read_test, results_folder, test_options
 
 
 def _up_to(stage: str, test: str, output: str | None, changes: tuple[str, ...], second_opinion: bool, show: bool) -> Answer:
     loaded = read_test(test, changes, second_opinion)
     need_stage(loaded, stage)
-    out = results_folder(loaded.name, output)
-    answer = run_answer(loaded, out, stage, report=True)
-    if show:
-        open_report(out / "report.html")
-    return answer
+    return run_answer(loaded, results_folder(loaded.name, output), stage, report=True, show=show)
 
 
 @click.command("frf", epilog="Example: operando frf pump/test.toml -o pump-results")

@@ -47,8 +47,8 @@ def open_report(path: Path) -> None:
         say(f"operando: no browser could be started; the report is {path}")
 
 
-def run_answer(test: Test, out: Path, until: str | None = None, report: bool | None = None) -> Answer:
-    """Run a test with its progress on stderr and answer; see :func:`operando.pipeline.run`. An error if a stage failed."""
+def run_answer(test: Test, out: Path, until: str | None = None, report: bool | None = None, *, show: bool) -> Answer:
+    """Run a test with its progress on stderr and answer, the report open in the browser if asked; an error if a stage failed."""
     from operando.jsonable import jsonable
     from operando.pipeline.again import run_and_tell
 
@@ -57,6 +57,8 @@ def run_answer(test: Test, out: Path, until: str | None = None, report: bool | N
 
     with following(_asked(until, report), out) as progress:
         said = run_and_tell(test, out, tell, until=until, progress=progress, report=report)
+    if show:
+        open_report(out / "report.html")
     if said.results is None:  # nothing had changed, and nothing heavy is loaded
         return Answer(said.told["document"], said.told["text"])
     from operando.pipeline.summary import failure

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -132,5 +132,4 @@ def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
 
 def pool(parts: Sequence[Lines]) -> Lines:
     """All lines of several runs."""
-    names = ("model", "measured", "var_meas", "var_model", "response", "frequency_hz")
-    return Lines(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+    return Lines(*(np.concatenate([getattr(lines, part.name) for lines in parts]) for part in fields(Lines)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -41,9 +41,7 @@ class Lines:
 
     def where(self, mask: NDArray[np.bool_]) -> Lines:
         """Some of the lines."""
-        return Lines(
-            self.model[mask], self.measured[mask], self.var_meas[mask], self.var_model[mask], self.response[mask], self.frequency_hz[mask]
-        )
+        return Lines(*(getattr(self, part.name)[mask] for part in fields(self)))
 
     @property
     def counted(self) -> NDArray[np.bool_]:

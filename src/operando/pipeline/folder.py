@@ -139,10 +139,6 @@ class ResultsFolder:
         key: str | None = self._entries.get(name, {}).get("key")
         return key
 
-    def made_before(self, name: str, key: str) -> bool:
-        """Whether a file was made under this key, whatever has become of it."""
-        return self.key(name) == key
-
     def stage(self, name: str, key: str | None, write: Callable[[Path], Made], **more: Any) -> Made:
         """Write a file aside; :meth:`commit` gives it its name.
 

@@ -67,6 +67,7 @@ class Inputs:
         if (file, span) in self._contents:
             return self._contents[file, span]
         from operando.io import read
+        from operando.quality import check_record
 
         try:
             content = read(file, units=self._units(file), channels=self._channels or None)
@@ -78,7 +79,7 @@ class Inputs:
             return None
         self._names[file] = names_of(content)
         name = self.test.label(file, span)
-        records = tuple(checked(_trimmed(replace(self._part(r, file, span), name=name))) for r in content.records)
+        records = tuple(check_record(_trimmed(replace(self._part(r, file, span), name=name))) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
         found = [
             *content.findings,
@@ -365,13 +366,6 @@ def _trimmed(record: TimeRecord) -> TimeRecord:
 
     cut, findings = trimmed(record)
     return cut.with_findings(findings) if findings else record
-
-
-def checked(record: TimeRecord) -> TimeRecord:
-    """The record with what the raw-data checks find."""
-    from operando.quality import check_record
-
-    return check_record(record)
 
 
 def unreadable(name: str, error: OperandoError) -> Finding:

@@ -200,7 +200,7 @@ class _Run:
 
     def _make(self, stage: Stage) -> None:
         """Run a stage and keep its result."""
-        if self.folder.made_before(stage_file(stage.name), self.keys[stage.name]):
+        if self.folder.key(stage_file(stage.name)) == self.keys[stage.name]:
             self.progress(stage.part_of, f"the kept result ({stage.name}) is missing or damaged: made again")
         else:
             self.progress(stage.part_of, "…" if stage.name == stage.part_of else f"{stage.name} …")
@@ -325,7 +325,7 @@ class _Run:
 
     def _write(self, output: Output, key: str, drop: list[str]) -> None:
         part = "report" if output.name == "report.html" else "store"
-        if self.folder.made_before(output.name, key):
+        if self.folder.key(output.name) == key:
             self.progress(part, f"{output.name} is missing or changed since the last run: made again")
         elif output.name in ("report.html", "model.h5"):  # the others take no time
             self.progress(part, "…")

@@ -135,15 +135,18 @@ def range_text(frequencies_hz: NDArray[np.float64]) -> str:
 
 
 def model_frf(model: Any, frf: Frf) -> Frf | None:
-    """FRF of a model on the lines and pairs of a measured one, without its variance; None where it has no such DOFs or no scale."""
+    """FRF of a model on the lines and pairs of a measured one; None where there is no model, or it has no such DOFs or no scale.
+
+    Without its variance: that of every pair costs more than all figures together.
+    """
     modal = getattr(model, "modal", model)
-    if not isinstance(modal, ModalModel):
+    if modal is None:
         return None
     try:
-        bare = replace(modal, covariance=None)  # the variance of every pair costs more than all figures together
-        return bare.frf(frf.frequencies_hz, frf.responses, frf.references, frf.quantity)
-    except OperandoError:
+        made: Frf = modal.frf(frf.frequencies_hz, frf.responses, frf.references, frf.quantity, variance=False)
+    except (OperandoError, NotImplementedError):
         return None
+    return made
 
 
 def with_variance(model: Any, frf: Frf, pairs: Sequence[tuple[int, int, str]]) -> Frf:

@@ -36,17 +36,6 @@ def effect_model(results: Results) -> Any:
         return None
 
 
-def predicted(model: Any, frf: Frf) -> Frf | None:
-    """FRFs of the model on the lines and pairs of a measured one, without variance; None where it has no such DOFs."""
-    if model is None:
-        return None
-    try:
-        made: Frf = model.frf(frf.frequencies_hz, frf.responses, frf.references, frf.quantity, variance=False)
-    except (OperandoError, NotImplementedError):
-        return None
-    return made
-
-
 def hold_out_ranges(results: Results, run: CheckRun) -> tuple[list[tuple[float, float]], bool]:
     """Frequency ranges of a validation measurement [Hz] in the hold-out set, and whether that is all of it."""
     hold_out = (results.diagnosis or {}).get("judged_on") or {}
@@ -129,8 +118,8 @@ def routes(results: Results, model: Any) -> Routes | None:
     band = derive.analysis_band(results)
     grid = every(grid if band is None else grid.band(*band))
     running = model.structure()
-    hybrid, effect = derive.model_frf(results.hybrid, grid), predicted(running, grid)
-    measured = effect if running.effects == model.effects else predicted(model, grid)  # faults of channels are measured, too
+    hybrid, effect = derive.model_frf(results.hybrid, grid), derive.model_frf(running, grid)
+    measured = effect if running.effects == model.effects else derive.model_frf(model, grid)  # faults of channels are measured, too
     if hybrid is None or effect is None or measured is None or not len(grid.axis):
         return None
     mask = clear_lines(grid) if run is not None else np.isfinite(hybrid.data)

@@ -45,13 +45,13 @@ def frfs(results: Results, page: Numbering) -> Markup | None:
     found = results.diagnosis or {}
     if run is not None and found.get("effects") and "check_records" not in (found.get("data") or ()):
         model = page.once("effect model", lambda: derive_diagnosis.effect_model(results))
-        after = page.once("effect on check", lambda: derive_diagnosis.predicted(model, run.frf))
+        after = page.once("effect on check", lambda: derive.model_frf(model, run.frf))
     measured = [f for f in (results.idle_frf, None if run is None else run.frf) if f is not None and f.quantity in POWERS]
     base = next((m.dofs for m in (idle, hybrid) if m is not None), None) or (measured[0].responses if measured else ())
     band = derive.analysis_band(results)
     if (not measured and hybrid is None) or band is None or not base:
         return None
-    dofs = tuple(dict.fromkeys([*base, *(d for f in measured for d in f.references if not _has(d, base))]))
+    dofs = tuple(dict.fromkeys([*base, *(d for f in measured for d in f.references if _index(d, base)[0] < 0)]))
     series: list[dict[str, Any]] = []
     lines = ((results.idle_frf, "idle, measured", SKY, None), (None if run is None else run.frf, "operating, measured", MEASURED, None),
              (after, "idle model + effects", GREEN, [2, 2]))  # fmt: skip
@@ -67,14 +67,6 @@ def frfs(results: Results, page: Numbering) -> Markup | None:
     unit = "Accelerance [dB re 1 (m/s²)/N]" if all(f.si for f in measured) else "Level [dB, units of the file]"
     return _embedded("frfs", {"band": list(band), "dofs": [printable(d) for d in dofs], "series": series, "modes": _modes(results),
                               "unit": unit, "first": first}, note)  # fmt: skip
-
-
-def _has(dof: Any, dofs: Sequence[Any]) -> bool:
-    try:
-        match_dofs((dof,), tuple(dofs))
-    except DofError:
-        return False
-    return True
 
 
 def _first(measured: Sequence[Frf], dofs: Sequence[Any]) -> list[int]:

@@ -79,7 +79,7 @@ def _validation(results: Results, page: Numbering, model: Any) -> tuple[CheckRun
     run, _, idle = derive.validation(results, page)
     if run is None:
         return None, None, None
-    return run, idle, page.once("effect on check", lambda: derive_diagnosis.predicted(model, run.frf))
+    return run, idle, page.once("effect on check", lambda: derive.model_frf(model, run.frf))
 
 
 def _where(results: Results, page: Numbering, words: DiagnosisWords, model: Any) -> dict[str, Any] | None:

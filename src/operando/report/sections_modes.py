@@ -10,6 +10,7 @@ from markupsafe import Markup
 from operando.dof import match_dofs
 from operando.errors import DofError
 from operando.indicators import mac
+from operando.plots.modes import mode_labels
 from operando.report import derive, figures_compare, figures_modes, live
 from operando.report.assessment import scope
 from operando.report.class_words import class_words
@@ -79,12 +80,11 @@ def _on_dofs(values: Any, source: Any, target: Any) -> Any:
 def _mac(results: Results) -> dict[str, Any]:
     """The MAC matrices, the two idle modes that are least distinct, and why there is no cross MAC."""
     idle, operating = results.idle, results.operating
-    labels = lambda model: [f"{k}: {f:.1f}" for k, f in enumerate(model.frequencies_hz)]  # noqa: E731
     axis = "{} mode: frequency [Hz]".format
     matrices: list[Any] = []
     out: dict[str, Any] = {"matrices": None, "least": None, "no_cross": ""}
     if idle is not None and idle.n_modes:
-        values, names = mac(idle.shapes), labels(idle)
+        values, names = mac(idle.shapes), mode_labels(idle)
         matrices.append(("Idle × idle (AutoMAC)", values, names, names, axis("Idle"), axis("Idle")))
         off = values - np.diag(np.diag(values))
         if off.size > 1 and off.max() > 0.05:
@@ -96,9 +96,9 @@ def _mac(results: Results) -> dict[str, Any]:
         except DofError as error:
             out["no_cross"] = error.message
         else:
-            matrices.append(("Idle × operating", values, labels(idle), labels(operating), axis("Idle"), axis("Operating")))
+            matrices.append(("Idle × operating", values, mode_labels(idle), mode_labels(operating), axis("Idle"), axis("Operating")))
     elif operating is not None and operating.n_modes:
-        names = labels(operating)
+        names = mode_labels(operating)
         matrices.append(("Operating × operating (AutoMAC)", mac(operating.shapes), names, names, axis("Operating"), axis("Operating")))
     return out | {"matrices": figures_modes.mac_matrices(matrices) if matrices else None}
 
