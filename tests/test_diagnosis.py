@@ -336,8 +336,8 @@ def test_the_model_handed_out_is_the_one_that_was_fitted():
     own[:, forward.n_shape :] = 0
     x = Point(0.3 * rng.standard_normal(forward.n_g), np.zeros(forward.n_d), own, rng.standard_normal(len(forward.outside(terms))), terms)
     problem = Problem(one, terms, one.lines.fit)
-    shared, own_rows, _ = problem.derived(problem.packed(x))
-    factor = Factor.of(problem.information(shared, own_rows, problem.weights(0.01)), problem.precision, problem.own_precision)
+    information = problem.derived(problem.packed(x))[0].information(problem.weights(0.01))
+    factor = Factor.of(information, problem.precision, problem.own_precision)
     state = State(x, 0.01, 0.0, factor, problem)
     found = model_of(identified(residual=2), state)
     assert found.discrepancy == state.alpha
@@ -386,13 +386,13 @@ def test_derivatives_as_rows_are_those_of_each_line_combined_and_weighted():
     problem = Problem(one, EVERY, one.lines.fit[::9])
     packed = problem.packed(x)
     exact = problem.predict(packed)
-    made = problem.derived(packed)
-    for rows, wanted in zip(made, (exact.shared, exact.own, (problem.measured - exact.h)[..., None]), strict=True):
+    slopes, left = problem.derived(packed)
+    for rows, wanted in zip((*slopes.whole(), left), (exact.shared, exact.own, (problem.measured - exact.h)[..., None]), strict=True):
         wanted = problem.rows(wanted)
         np.testing.assert_allclose(rows.reshape(wanted.shape), wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
     weighted = Rows(weights=rng.uniform(0.5, 2, exact.h.shape))
-    made = forward.derived(problem.point(packed), problem.w, weighted)
-    for rows, values in ((made.shared, exact.shared), (made.own, exact.own)):
+    made = forward.derived(problem.point(packed), problem.w, weighted)[1].whole()
+    for rows, values in zip(made, (exact.shared, exact.own), strict=True):
         wanted = np.moveaxis(values * weighted.weights[..., None], 0, 2)  # (responses, references, lines, k)
         wanted = np.stack([wanted.real, wanted.imag], 3).reshape(rows.shape)
         np.testing.assert_allclose(rows, wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
@@ -1100,3 +1100,46 @@ def test_the_best_state_is_fitted_without_what_joints_on_another_day_do_too():
     best = max(search.pool.values(), key=score)
     assert [t.kind for t in best.terms] == ["sensor_gain"]
     assert np.exp(best.terms[0].values[0]) == pytest.approx(1.3, rel=0.01)
+
+
+def test_derivatives_are_made_of_few_responses_at_a_time(monkeypatch):
+    """No block is larger than AT_ONCE but for a single response, and sums over blocks are those over all, kept or made again."""
+    from operando.diagnosis import slopes
+    from operando.diagnosis.derivatives import Derivatives
+
+    one = case(lag=0.1)
+    problem = Problem(one, (), one.lines.fit)
+    x, made, every = problem.packed(one.forward.start), Derivatives.all, []
+
+    def spied(self):
+        out = made(self)
+        every.append(out[0].shape[0])
+        return out
+
+    monkeypatch.setattr(Derivatives, "all", spied)
+    wanted, _ = problem.derived(x)
+    shared, own = wanted.whole()
+    assert every == [N]
+    weights = problem.weights(0.01)
+    known = wanted.information(weights)
+    factor = Factor.of(known, problem.precision, problem.own_precision)
+    rows = np.random.default_rng(1).standard_normal(shared.shape[:2])
+    each = (shared.size + own.size) // N
+    for kept, again in ((slopes.KEPT, 1), (N * each - 1, 5)):
+        every.clear()
+        monkeypatch.setattr(slopes, "AT_ONCE", each)  # of derivatives alone: with their products no two responses fit
+        monkeypatch.setattr(slopes, "KEPT", kept)
+        some, _ = problem.derived(x)
+        for a, b in zip(some.whole(), (shared, own), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12 * np.abs(b).max())
+        found = some.information(weights)
+        for name in ("shared", "across", "own"):
+            a, b = getattr(found, name), getattr(known, name)
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12 * np.abs(b).max())
+        a, b = some.along(lambda at: rows[at, :, None]), wanted.along(lambda at: rows[at, :, None])
+        for got, right in zip(a, b, strict=True):
+            np.testing.assert_allclose(got, right, rtol=1e-9, atol=1e-12 * np.abs(right).max())
+        step = np.ones(shared.shape[2]), np.ones(own.shape[::2])
+        np.testing.assert_allclose(some.moved(*step), wanted.moved(*step), rtol=1e-9, atol=1e-12 * np.abs(wanted.moved(*step)).max())
+        np.testing.assert_allclose(some.variance(factor, slice(0, 9)), factor.of_rows(shared[:, :9], own[:, :9]), rtol=1e-9)
+        assert every == [1] * N * again

@@ -74,8 +74,8 @@ def test_derivatives_there_are_those_of_the_frfs():
 def test_the_model_handed_out_has_the_same_products():
     one, _, x = with_a_damper("ground_spring", 3e4)
     problem = Problem(one, x.terms, one.lines.fit)
-    shared, own, _ = problem.derived(problem.packed(x))
-    factor = Factor.of(problem.information(shared, own, problem.weights(0.01)), problem.precision, problem.own_precision)
+    information = problem.derived(problem.packed(x))[0].information(problem.weights(0.01))
+    factor = Factor.of(information, problem.precision, problem.own_precision)
     state = State(x, 0.01, 0.0, factor, problem)
     found = replace(model_of(identified(residual=2), state, located(LINE, one.idle)), discrepancy=0.0)
     lines = one.lines.w[one.lines.fit]

@@ -18,6 +18,7 @@ from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import score
 from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.search import RIVALS, search
+from operando.diagnosis.slopes import Slopes
 from operando.diagnosis.spreads import likely_spreads, log_prior, rescaled
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import verdict_and_reason
@@ -31,8 +32,8 @@ def started(one, *terms):
 
 def at_first_order(problem, x, alpha):
     made = problem.predict(x)
-    rows = problem.residual(made.h), problem.rows(made.shared), problem.rows(made.own)
-    return linear_evidence(problem, *rows, x, alpha)
+    slopes = Slopes(lambda: [(slice(None), problem.rows(made.shared), problem.rows(made.own))])
+    return linear_evidence(problem, problem.residual(made.h), slopes, x, alpha)
 
 
 def test_the_step_of_the_spreads_is_along_the_slope_of_the_evidence():
@@ -116,7 +117,7 @@ def test_a_damping_is_forgotten_at_the_minimum(gain, kept, monkeypatch):
     now = problem.objective(problem.predict(x, False).h, x, problem.variance(state.alpha))
     monkeypatch.setattr(problem, "objective", lambda h, x, variance: now - gain)
     descent.damping = 1e6
-    descent.turn(problem, x, rows, state.alpha, state.factor, problem.information(*rows[:2], problem.weights(state.alpha)))
+    descent.turn(problem, x, rows, state.alpha, state.factor, rows[0].information(problem.weights(state.alpha)))
     assert (descent.damping > 0) is kept
 
 
@@ -232,8 +233,9 @@ def test_the_discrepancy_is_that_of_the_least_cost_on_its_whole_grid(alpha):
     one = case(add_mass)
     problem = Problem(one, (), one.lines.fit)
     x = problem.packed(one.forward.start)
-    shared, own, residual = problem.derived(x)
-    factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
+    slopes, residual = problem.derived(x)
+    factor = linear_evidence(problem, residual, slopes, x, alpha)[2]
+    shared, own = slopes.whole()
     for size in (1e-3, 0.1, 1.0):
         left = size * residual
         some = one.lines.telling(left.shape[1])
@@ -243,7 +245,7 @@ def test_the_discrepancy_is_that_of_the_least_cost_on_its_whole_grid(alpha):
         cost = [np.sum(power / (1 + a**2 * spread) + 0.5 * np.log(1 + a**2 * spread)) for a in grid]
         least = grid[int(np.argmin(cost))]
         expected = least * min(1, least / alpha) if least < alpha else least
-        assert likely_alpha(problem, left, shared, own, factor, alpha) == pytest.approx(expected, rel=1e-12)
+        assert likely_alpha(problem, left, slopes, factor, alpha) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_state_that_is_known_begins_a_search_as_it_is():
@@ -261,8 +263,6 @@ def test_a_candidate_is_looked_at_on_fewer_lines_that_stand_for_all():
     whole, part = (
         Problem(one, state.terms, at, n) for at, n in ((one.lines.fit, 1), (one.lines.fit[:: one.lines.stride], one.lines.stride))
     )
-    made = [
-        linear_evidence(p, *(p.derived(p.packed(state.x))[i] for i in (2, 0, 1)), p.packed(state.x), state.alpha)[2] for p in (whole, part)
-    ]
+    made = [linear_evidence(p, *p.derived(p.packed(state.x))[::-1], p.packed(state.x), state.alpha)[2] for p in (whole, part)]
     all_lines, fewer = (np.sqrt(np.diag(f.shared_covariance(whole.values_at))[0]) for f in made)
     assert fewer == pytest.approx(all_lines, rel=0.3)

@@ -116,10 +116,10 @@ class Factor:
         own = np.sum(self.inverse**2, axis=1) + np.sum(spread**2, axis=2)
         return np.sum(root**2, axis=0), own
 
-    def of_rows(self, shared: Array, own: Array) -> Array:
-        """Variance j H⁻¹ jᵀ of rows, (blocks, rows, s) and (blocks, rows, k) → (blocks, rows)."""
-        y = self.inverse @ np.swapaxes(own, 1, 2)
-        rest = np.swapaxes(shared, 1, 2) - np.swapaxes(self.across, 1, 2) @ y
+    def of_rows(self, shared: Array, own: Array, at: slice = slice(None)) -> Array:
+        """Variance j H⁻¹ jᵀ of rows of some blocks, (blocks, rows, s) and (blocks, rows, k) → (blocks, rows)."""
+        y = self.inverse[at] @ np.swapaxes(own, 1, 2)
+        rest = np.swapaxes(shared, 1, 2) - np.swapaxes(self.across[at], 1, 2) @ y
         s = rest.shape[1]
         left = solve_triangular(self.lower, np.moveaxis(rest, 1, 0).reshape(s, -1), lower=True, check_finite=False)
         return np.asarray(np.sum(y**2, axis=1) + np.sum(left**2, axis=0).reshape(len(rest), -1))

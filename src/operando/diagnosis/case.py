@@ -161,15 +161,17 @@ class Case:
             plain = Between(idle, columns, self.band, {})
             some = Forward(idle, plain, np.arange(dofs), columns, self.band)
             alike = np.broadcast_to(1 / noise[:, None, None], (w.size, dofs, columns.size))
-            made = some.derived(replace(some.start, terms=idle.lacking_term), w, Rows(weights=alike))
-            by_g = made.shared[..., :g].reshape(-1, g)
-            whole += by_g.T @ by_g
-            # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
-            each += 2 * np.swapaxes(made.own, 1, 2) @ made.own
-            for number, dof in enumerate(some.reaching_dofs(())):
-                start = g + number * forward.n_shape
-                far = made.shared[dof, :, start : start + forward.n_shape]
-                each[dof] += far.T @ far
+            slopes = some.derived(replace(some.start, terms=idle.lacking_term), w, Rows(weights=alike))[1]
+            for at, shared, own in slopes.made():
+                by_g = shared[..., :g].reshape(-1, g)
+                whole += by_g.T @ by_g
+                # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
+                each[at] += 2 * np.swapaxes(own, 1, 2) @ own
+                for number, dof in enumerate(some.reaching_dofs(())):
+                    if at.start <= dof < at.stop:
+                        start = g + number * forward.n_shape
+                        far = shared[dof - at.start, :, start : start + forward.n_shape]
+                        each[dof] += far.T @ far
         values, vectors = np.linalg.eigh(whole * dofs / taken.size)
         values_own, vectors_own = np.linalg.eigh(each * dofs / taken.size)
         own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]

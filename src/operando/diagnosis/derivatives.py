@@ -185,14 +185,14 @@ class Derivatives:
     def _made(self) -> None:
         """The products over lines, as rows (responses, references, part, rows, k)."""
         p, m, w = self.of, self.modes, self.of.w[:, None]
-        here = p.here
-        touched_columns = p.columns - p.columns @ (p.inner @ p.columns[:, here])
-        psi = p.phi - touched_columns @ (p.stiff @ p.phi[..., here, :])
+        here, columns = p.here, p.columns[:, p.order]
+        touched_columns = columns - columns @ (p.inner @ p.columns[:, here])
+        psi = p.phi[..., p.order, :] - touched_columns @ (p.stiff @ p.phi[..., here, :])
         self.touched_columns = touched_columns
         self.reached = -touched_columns @ p.stiff  # what forces at the touched DOFs do elsewhere: passive = 1 + reached
         sensors = p.sensors[:, p.order].T[:, None, :, None]
         forces = p.forces.T[None, :, :, None]
-        pk = np.moveaxis(p.k.after(psi)[:, p.order], 0, 1)[:, None]  # (responses, 1, lines, terms)
+        pk = np.moveaxis(p.k.after(psi), 0, 1)[:, None]  # (responses, 1, lines, terms)
         kt = np.moveaxis(p.kx, 2, 0)[None]
         at_sensor, at_force = sensors * pk, forces * kt
         core = -at_sensor[..., self.moving] * at_force[..., self.moving]
@@ -201,7 +201,7 @@ class Derivatives:
             core -= at_sensor[..., self.moving] * force_change[..., self.moving]
             core -= sensor_change[..., self.moving] * at_force[..., self.moving]
         response, driven = sensors * at_force, forces * at_sensor
-        reached = np.swapaxes(self.reached[:, p.order], 0, 1)[:, None]  # (responses, 1, lines, touched)
+        reached = np.swapaxes(self.reached, 0, 1)[:, None]  # (responses, 1, lines, touched)
         force = np.transpose(p.force, (2, 0, 1))[None]  # (1, references, lines, touched)
         touched = []
         for i, dof in enumerate(here):
@@ -246,11 +246,11 @@ class Derivatives:
     def _changes(self) -> tuple[Array, Array]:
         """What the changes of terms that are linear in them do at the sensors, and at the forces: zero for all others."""
         p, first = self.of, self.of.first_order
-        psi = first.change - self.touched_columns @ (p.stiff @ first.change[p.here])
+        psi = first.change[p.order] - self.touched_columns @ (p.stiff @ first.change[p.here])
         driven = first.change[p.references].T - first.change[p.here].T @ p.force
         at_sensor = np.zeros((len(self.dofs), 1, p.w.size, self.n_terms), complex)
         at_force = np.zeros((1, p.references.size, p.w.size, self.n_terms), complex)
-        at_sensor[:, 0, :, first.terms] = np.transpose(psi[:, p.order] * first.k[:, None], (2, 1, 0))
+        at_sensor[:, 0, :, first.terms] = np.transpose(psi * first.k[:, None], (2, 1, 0))
         at_force[0, :, :, first.terms] = np.transpose(driven * first.k[:, :, None], (1, 2, 0))
         return at_sensor, at_force
 
@@ -410,7 +410,7 @@ class Derivatives:
         start = len(p.outside)
         for term, laws_of in zip(p.terms, p.by_values, strict=True):
             if term.structural:
-                columns += [(-self.touched_columns @ (slope @ p.acting[:, p.here]))[:, p.order] for slope in laws_of]
+                columns += [-self.touched_columns @ (slope @ p.acting[:, p.here]) for slope in laws_of]
                 at += range(start, start + len(laws_of))
                 start += len(laws_of)
             else:
@@ -424,7 +424,7 @@ class Derivatives:
         p = self.of
         out = np.zeros((p.w.size, len(self.dofs)), complex)
         out[:, p.order == dof] = 1
-        return out + self.reached[:, p.order, p.here.index(dof)] if dof in p.here else out
+        return out + self.reached[..., p.here.index(dof)] if dof in p.here else out
 
     def _by_values(self, term: Term, out: Array) -> None:
         """By the values of an effect that adds no dynamic stiffness."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.problem import Problem, Step
+from operando.diagnosis.slopes import Slopes
 
 Array = NDArray[Any]
 
@@ -30,10 +31,10 @@ class Descent:
         self.damping = 0.0
 
     def turn(
-        self, problem: Problem, x: Step, rows: tuple[Array, Array, Array], alpha: float, factor: Factor, information: Information
+        self, problem: Problem, x: Step, rows: tuple[Slopes, Array], alpha: float, factor: Factor, information: Information
     ) -> tuple[Step, Array, float, float]:
         """From a point with its derivatives, residual and information: where it leads, the residual and the objective there, the gain."""
-        shared, own, left = rows
+        slopes, left = rows
         variance = problem.variance(alpha)
         weights = 2 / variance
 
@@ -41,7 +42,7 @@ class Descent:
             return problem.objective(h, x, variance)
 
         begun = now = float(np.sum(left**2 / variance)) + problem.penalty(x)
-        gradient = problem.gradient(shared, own, left * weights, x)
+        gradient = problem.gradient(slopes, left * weights, x)
         metric, damped, harder = None, factor, _DAMPING
         for _ in range(_TRIES):
             if self.damping:
@@ -54,8 +55,8 @@ class Descent:
             h, new = problem.tried(x + step, cost)
             if self.damping or not new < now:
                 part = problem.residual(problem.tried(x + step * _PART, cost)[0])
-                bend = (part - left + problem.spread(shared, own, step) * _PART) / _PART**2
-                second = problem.solved(damped, problem.projected(shared, own, bend * weights))
+                bend = (part - left + problem.spread(slopes, step) * _PART) / _PART**2
+                second = problem.solved(damped, problem.projected(slopes, bend * weights))
                 bent, its = problem.tried(x + step + second, cost)
                 if its < new:
                     h, new, step = bent, its, step + second
@@ -71,7 +72,7 @@ class Descent:
             along = problem.by_response(step.own)
             promised = float(gradient.shared @ step.shared + np.sum(gradient.own * along))
             promised -= 0.5 * float(
-                np.sum(weights * problem.spread(shared, own, step) ** 2) + problem.precision @ step.shared**2 + np.sum(along**2)
+                np.sum(weights * problem.spread(slopes, step) ** 2) + problem.precision @ step.shared**2 + np.sum(along**2)
             )
             kept = min(gain / max(promised, gain), 1.0)
             easier = max(1 / _DAMPING, 1 - (2 * kept - 1) ** 3)
@@ -79,7 +80,7 @@ class Descent:
         for _ in range(_CHORDS):  # the same factor again
             if gain < 0.02 * max(1, 0.02 * now):
                 break
-            step = problem.limited(problem.solved(damped, problem.gradient(shared, own, left * weights, x)))
+            step = problem.limited(problem.solved(damped, problem.gradient(slopes, left * weights, x)))
             h, new = problem.tried(x + step, cost)
             if not new < now:
                 break

@@ -311,7 +311,7 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
         return "measure this state at another level and with the force at another point: does the rest depend on level?"
     if verdict.name == "inconclusive":
         problem = best.problem
-        shared, mine, _ = problem.derived(problem.packed(best.x))
+        shared, mine = problem.derived(problem.packed(best.x))[0].whole()
         g, shape = case.forward.n_g, case.forward.n_shape
         own = float(np.mean(2 * np.sum(shared[..., :g] ** 2, 2)))
         own += float(np.mean(2 * np.sum(mine[..., :shape] ** 2, 2)))

@@ -16,6 +16,7 @@ from operando.diagnosis.forward import Forward, Point, Prediction
 from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.products import Rows
 from operando.diagnosis.sides import Sides
+from operando.diagnosis.slopes import Slopes
 from operando.diagnosis.terms import Term, added, resonator
 from operando.structure.eigenproblem import with_inside
 
@@ -87,12 +88,12 @@ class Eigenmodes(Forward):
         shared = self._derivatives(system, solved, used, channel)[w]
         return Prediction(h[:, None, None], shared[:, None, None], np.zeros((w.size, 1, 1, self.n_own)))
 
-    def derived(self, x: Point, w: Array, rows: Rows) -> Prediction:
-        """Values of the measured modes, and their derivatives as rows (1, rows, n)."""
+    def derived(self, x: Point, w: Array, rows: Rows) -> tuple[Array, Slopes]:
+        """Values of the measured modes, and their derivatives as rows of one response."""
         made = self.predict(x, w)
-        if rows.basis is None:
-            return Prediction(made.h, rows.flat(made.shared), rows.flat(made.own))
-        return Prediction(made.h, *((rows.basis @ v[:, 0, 0])[None] for v in (made.shared, made.own)))
+        both = made.shared, made.own
+        shared, own = (rows.flat(v) if rows.basis is None else (rows.basis @ v[:, 0, 0])[None] for v in both)
+        return made.h, Slopes(lambda: [(slice(0, 1), shared, own)])
 
     def scannable(self, x: Point, w: Array) -> ScannableModes:  # type: ignore[override]
         """A state to which effects are added one at a time."""

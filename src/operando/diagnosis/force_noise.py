@@ -43,18 +43,21 @@ def moved_by_force_noise(state: State) -> tuple[Array, Array]:
     """
     problem, forward, lines = state.problem, state.case.forward, state.case.lines
     packed, weights = problem.packed(state.x), problem.weights(state.alpha)
-    by_shared, by_own, _ = problem.derived(packed)
-    h, line = problem.predict(packed, False).h, np.arange(problem.at.size)
+    slopes, _ = problem.derived(packed)
+    h, basis = problem.predict(packed, False).h, lines.basis(problem.at)[0]
     alike = np.linalg.cholesky(lines.alike(problem.at))
     shared: list[Array] = []
     own: list[Array] = []
+    count = 2 * basis.shape[2]  # rows of a pair
     for reference, variance in enumerate(common_variance(state)):
-        error = np.zeros((*h.shape, 2 * line.size), complex)
-        for part, phase in enumerate((1, 1j)):
-            error[line, :, reference, part * line.size + line] = phase * h[:, :, reference]
-        rows = problem.rows(error) * weights[..., None]
-        along = np.tensordot(by_shared, rows, ((0, 1), (0, 1))), np.swapaxes(by_own, 1, 2) @ rows
-        for moved, out in zip(state.factor.whitened(*along), (shared, own), strict=True):
+        mine = slice(reference * count, (reference + 1) * count)
+
+        def rows(at: slice, reference: int = reference, mine: slice = mine) -> Array:
+            error = basis[at, reference] * h[:, at, reference].T[:, None]  # of each line by itself, and by i
+            both = np.stack([np.concatenate([error.real, -error.imag], 2), np.concatenate([error.imag, error.real], 2)], 2)
+            return np.asarray(both.reshape(len(error), count, -1) * weights[at, mine, None])
+
+        for moved, out in zip(state.factor.whitened(*slopes.along(rows, mine)), (shared, own), strict=True):
             parts = np.split(moved, 2, axis=-1)
             out.append(np.sqrt(variance / 2) * np.concatenate([part @ alike for part in parts], axis=-1))
     every = np.concatenate(own, axis=-1)

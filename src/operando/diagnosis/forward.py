@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Betwee
 from operando.diagnosis.derivatives import Derivatives, FirstOrder, Moved, Parts
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.products import Compliance, Rows, laid
+from operando.diagnosis.slopes import Block, Slopes, in_blocks
 from operando.diagnosis.terms import Term, added, slopes, touched
 
 Array = NDArray[Any]
@@ -157,11 +158,18 @@ class Forward:
         lay = lambda v: np.moveaxis(v[..., 0, :] + 1j * v[..., 1, :], 2, 0)  # noqa: E731
         return Prediction(parts.h, *(lay(v) for v in made))
 
-    def derived(self, x: Point, w: Array, rows: Rows) -> Prediction:
-        """FRFs (lines, responses, references), and their derivatives as rows (responses, rows, n)."""
+    def derived(self, x: Point, w: Array, rows: Rows) -> tuple[Array, Slopes]:
+        """FRFs (lines, responses, references), and their derivatives as rows."""
         parts = self._parts(x, w)
-        shared, own = Derivatives(parts, rows).all()
-        return Prediction(parts.h, *(v.reshape(v.shape[0], -1, v.shape[-1]) for v in (shared, own)))
+        every = parts.h[0].size * 2 * w.size
+        products = 2 * self.between.first.size + 2 * (4 + len(parts.here)) * self.n_terms  # about as many, beside g and d
+        blocks = in_blocks(parts.order.size, every // parts.order.size * (self.n_g + self.n_d + self.n_own + products))
+
+        def block(at: slice) -> Block:
+            shared, own = Derivatives(replace(parts, order=parts.order[at], factor=parts.factor[:, at]), rows.of_responses(at)).all()
+            return at, shared.reshape(len(shared), -1, shared.shape[-1]), own.reshape(len(own), -1, own.shape[-1])
+
+        return parts.h, Slopes(lambda: map(block, blocks), every * (self.n_g + self.n_d + self.n_own))
 
     def scannable(self, x: Point, w: Array) -> Scannable:
         """FRFs with all columns of the structure."""

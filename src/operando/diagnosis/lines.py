@@ -149,11 +149,15 @@ class Lines:
         if key not in self._bases:
             whiten = np.linalg.inv(np.linalg.cholesky(self.alike(at)))
             smooth = np.exp(-np.abs(self._warped[at][:, None] - self._warped[at]))
-            variance = np.moveaxis(self.variance[at], 0, -1)[:, :, None]
-            level = np.moveaxis(self.level[at], 0, -1)[:, :, None]
-            scaled = whiten / np.sqrt(variance)
-            values, vectors = np.linalg.eigh(scaled @ (smooth * level * np.swapaxes(level, 2, 3)) @ np.swapaxes(scaled, 2, 3))
-            self._bases[key] = np.swapaxes(vectors, 2, 3) @ scaled, np.maximum(values, 0)
+            shape = *self.there.shape, at.size
+            combinations, spread = np.empty((*shape, at.size)), np.empty(shape)
+            for response in range(shape[0]):  # all at once take several times the memory
+                variance, level = (v[at, response].T[:, None] for v in (self.variance, self.level))
+                scaled = whiten / np.sqrt(variance)
+                values, vectors = np.linalg.eigh(scaled @ (smooth * level * np.swapaxes(level, 1, 2)) @ np.swapaxes(scaled, 1, 2))
+                np.matmul(np.swapaxes(vectors, 1, 2), scaled, out=combinations[response])
+                spread[response] = np.maximum(values, 0)
+            self._bases[key] = combinations, spread
         return self._bases[key]
 
     def rows(self, values: Array, at: Array) -> Array:

@@ -28,6 +28,7 @@ from operando.diagnosis.idle import Idle
 from operando.diagnosis.poles import with_straight_poles
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.products import Rows
+from operando.diagnosis.slopes import Slopes
 from operando.diagnosis.spreads import WIDER, likely_spreads, log_prior, rescaled
 from operando.diagnosis.terms import Term
 
@@ -112,31 +113,31 @@ def unfitted(case: Case, x: Point, alpha: float) -> State:
     """A point as a state, with the factor of the model that is linear about it and no evidence."""
     lines = case.lines
     problem = Problem(case, x.terms, lines.fit[:: lines.stride], lines.stride)
-    shared, own, _ = problem.derived(problem.packed(x))
-    factor = Factor.of(problem.information(shared, own, problem.weights(alpha)), problem.precision, problem.own_precision)
+    slopes, _ = problem.derived(problem.packed(x))
+    factor = Factor.of(slopes.information(problem.weights(alpha)), problem.precision, problem.own_precision)
     return State(x, alpha, -np.inf, factor, problem)
 
 
 def linear_evidence(
-    problem: Problem, residual: Array, shared: Array, own: Array, x: Step, alpha: float, information: Information | None = None
+    problem: Problem, residual: Array, slopes: Slopes, x: Step, alpha: float, information: Information | None = None
 ) -> tuple[float, Step, Factor]:
     """Log evidence of the model r(x + s) = r − J s, where its maximum lies, and its factor (of an information made here if not given)."""
     weights = problem.weights(alpha)
     if information is None:
-        information = problem.information(shared, own, weights)
+        information = slopes.information(weights)
     factor = Factor.of(information, problem.precision, problem.own_precision)
-    step = problem.solved(factor, problem.gradient(shared, own, residual * weights, x))
+    step = problem.solved(factor, problem.gradient(slopes, residual * weights, x))
     best = x + step
-    left = residual - problem.spread(shared, own, step)
+    left = residual - problem.spread(slopes, step)
     evidence = -0.5 * np.sum(left**2 * weights) - problem.penalty(best) - factor.half_log_determinant
     evidence += 0.5 * problem.n_values * np.log(2 * np.pi) - 0.5 * np.sum(np.log(problem.variance(alpha)))
     return float(evidence), best, factor
 
 
-def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, factor: Factor, now: float) -> float:
+def likely_alpha(problem: Problem, residual: Array, slopes: Slopes, factor: Factor, now: float) -> float:
     """Discrepancy that residuals and posterior variance of the prediction ask for (expectation maximisation), faster downwards."""
     some = problem.case.lines.telling(residual.shape[1])
-    power = residual[:, some] ** 2 + factor.of_rows(shared[:, some], own[:, some])
+    power = residual[:, some] ** 2 + slopes.variance(factor, some)
     spread = problem.case.lines.spread(problem.at)[:, some]
     grid = np.exp(np.linspace(np.log(LEAST_DISCREPANCY), 0, 80))
 
@@ -190,20 +191,20 @@ def fit(
     last, most = np.zeros(case.between.log_factors.size), WIDER  # of the spreads: the step before, and how far the next may go
     outside = 0
     for turn in range(turns):
-        shared, own, residual = problem.derived(x)
-        information = problem.information(shared, own, problem.weights(alpha))
-        evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha, information)
+        slopes, residual = problem.derived(x)
+        information = slopes.information(problem.weights(alpha))
+        evidence, linear, factor = linear_evidence(problem, residual, slopes, x, alpha, information)
         if done or outside == _OUTSIDE or (turn >= 2 and evidence < floor - _FAR and evidence - reached < 0.25 * (floor - evidence)):
             break
         reached = evidence
         if turn == 0 and alpha > 0.02:  # nothing is known of the discrepancy yet: from the linear model
-            left = residual - problem.spread(shared, own, linear + x * -1)
-            alpha = max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 4)
-            information = problem.information(shared, own, problem.weights(alpha))
-            evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha, information)
-        x, left, now, gain = descent.turn(problem, x, (shared, own, residual), alpha, factor, information)
+            left = residual - problem.spread(slopes, linear + x * -1)
+            alpha = max(likely_alpha(problem, left, slopes, factor, alpha), alpha / 4)
+            information = slopes.information(problem.weights(alpha))
+            evidence, linear, factor = linear_evidence(problem, residual, slopes, x, alpha, information)
+        x, left, now, gain = descent.turn(problem, x, (slopes, residual), alpha, factor, information)
         before = alpha
-        alpha = min(max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 5, LEAST_DISCREPANCY), MOST_DISCREPANCY)
+        alpha = min(max(likely_alpha(problem, left, slopes, factor, alpha), alpha / 5, LEAST_DISCREPANCY), MOST_DISCREPANCY)
         change = abs(np.log(alpha / before))
         outside = outside + 1 if in_range and not all(t.within_range(case.band) for t in problem.point(x).terms) else 0
         done = turn == turns - 2 or (change < 0.1 and (gain < least or alpha < enough))
@@ -216,9 +217,9 @@ def fit(
                 (problem, x), done = rescaled(problem, x, by), False
                 continue
         if done and turn < turns - 2:  # expectation maximisation is slow where little is known: a step along the evidence itself
-            here = linear_evidence(problem, left, shared, own, x, alpha)[0]
+            here = linear_evidence(problem, left, slopes, x, alpha)[0]
             for other in (alpha / 2, 2 * alpha):
-                if LEAST_DISCREPANCY <= other <= MOST_DISCREPANCY and linear_evidence(problem, left, shared, own, x, other)[0] > here + 0.3:
+                if LEAST_DISCREPANCY <= other <= MOST_DISCREPANCY and linear_evidence(problem, left, slopes, x, other)[0] > here + 0.3:
                     alpha, done = other, False
                     break
     return State(problem.point(x), alpha, evidence + log_prior(problem), factor, problem)
@@ -229,12 +230,12 @@ def with_discrepancy(state: State, alpha: float) -> State:
     problem = state.problem
 
     x = problem.packed(state.x)
-    shared, own, residual = problem.derived(x)
-    information = problem.information(shared, own, problem.weights(alpha))
+    slopes, residual = problem.derived(x)
+    information = slopes.information(problem.weights(alpha))
     factor = Factor.of(information, problem.precision, problem.own_precision)
-    x = Descent().turn(problem, x, (shared, own, residual), alpha, factor, information)[0]
-    shared, own, residual = problem.derived(x)
-    factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
+    x = Descent().turn(problem, x, (slopes, residual), alpha, factor, information)[0]
+    slopes, residual = problem.derived(x)
+    factor = linear_evidence(problem, residual, slopes, x, alpha)[2]
     return replace(state, x=problem.point(x), alpha=alpha, factor=factor)
 
 
@@ -257,12 +258,12 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
             residual = problem.measured - h
             rows = Rows(weights=np.sqrt(2 / (noise + np.abs(residual) ** 2)))
             try:
-                made = case.forward.derived(problem.point(x), problem.w, rows)
-                information = Information.of(made.shared, made.own)
+                slopes = case.forward.derived(problem.point(x), problem.w, rows)[1]
+                information = slopes.information()
                 factor = Factor.of(information, (1 + damping) * problem.precision, (1 + damping) * problem.own_precision)
             except np.linalg.LinAlgError:  # two poles in one, or derivatives that are no numbers
                 return np.inf, start
-            gradient = problem.gradient(made.shared, made.own, rows.flat(residual[..., None])[..., 0], x)
+            gradient = problem.gradient(slopes, rows.flat(residual[..., None])[..., 0], x)
             for _ in range(9):
                 there = x + problem.limited(problem.solved(factor, gradient))
                 ahead, new = problem.tried(there, cost)
@@ -312,21 +313,18 @@ def left_on(case: Case, x: Point, alpha: float, at: Array) -> tuple[float, float
     residual = problem.residual(h) * root
     chi = np.sum(residual**2)
     if at is not case.lines.fit:
-        fitted = Problem(case, x.terms, known_at)
-        weights, (*its, left) = np.sqrt(2 / fitted.variance(alpha)), fitted.derived(packed)
-        rows = [v * weights[..., None] for v in its]
-        known = Information.of(*rows)
-        shared, own = (v * root[..., None] for v in problem.derived(packed)[:2])
+        fitted, weights = Problem(case, x.terms, known_at), root**2
+        slopes = problem.derived(packed)[0]
+        its, left = fitted.derived(packed)
+        known = its.information(fitted.weights(alpha))
         if known_at is not case.lines.fit:  # the point is that of other values: as these alone have it, at first order
             step = fitted.solved(
-                Factor.of(known, fitted.precision, fitted.own_precision),
-                fitted.gradient(rows[0], rows[1], left * weights, packed),
+                Factor.of(known, fitted.precision, fitted.own_precision), fitted.gradient(its, left * fitted.weights(alpha), packed)
             )
-            residual = residual - problem.spread(shared, own, step)
+            residual = residual - problem.spread(slopes, step) * root
             chi = np.sum(residual**2)
-        factor = Factor.of(known + Information.of(shared, own), problem.precision, problem.own_precision)
-        along = np.tensordot(shared, residual, ((0, 1), (0, 1)))
-        a, b = factor.whitened(along[:, None], np.swapaxes(own, 1, 2) @ residual[..., None])
+        factor = Factor.of(known + slopes.information(weights), problem.precision, problem.own_precision)
+        a, b = factor.whitened(*slopes.along(lambda at: (residual * root)[at, :, None]))
         chi -= np.sum(a**2) + np.sum(b**2)
     return float(chi / (residual.size * case.lines.there.mean())), case.lines.error(h, at)
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.arrow import Factor, Information
+from operando.diagnosis.arrow import Factor
 from operando.diagnosis.case import Case
 from operando.diagnosis.forward import Point, Prediction
 from operando.diagnosis.products import Rows
+from operando.diagnosis.slopes import Slopes
 from operando.diagnosis.terms import Term, moved, touched
 
 Array = NDArray[Any]
@@ -94,10 +95,10 @@ class Problem:
     def predict(self, x: Step, derivatives: bool = True) -> Prediction:
         return self.forward.predict(self.point(x), self.w, derivatives=derivatives)
 
-    def derived(self, x: Step) -> tuple[Array, Array, Array]:
-        """Derivatives by what reaches all channels and by each DOF's own, and the residual, as independent rows."""
-        made = self.forward.derived(self.point(x), self.w, Rows(self.case.lines.basis(self.at)[0]))
-        return made.shared, made.own, self.residual(made.h)
+    def derived(self, x: Step) -> tuple[Slopes, Array]:
+        """Derivatives and the residual, as independent rows."""
+        h, slopes = self.forward.derived(self.point(x), self.w, Rows(self.case.lines.basis(self.at)[0]))
+        return slopes, self.residual(h)
 
     def rows(self, values: Array) -> Array:
         """Values (lines, responses, references, k) as independent rows (responses, rows, k)."""
@@ -132,19 +133,15 @@ class Problem:
             return self.measured, np.inf
         return h, value if np.isfinite(value) else np.inf
 
-    def gradient(self, shared: Array, own: Array, weighted: Array, x: Step) -> Step:
+    def gradient(self, slopes: Slopes, weighted: Array, x: Step) -> Step:
         """Of −objective: Jᵀ of weighted residuals (responses, rows), and the prior."""
-        along = self.projected(shared, own, weighted)
+        along = self.projected(slopes, weighted)
         return Step(along.shared - self.precision * (x.shared - self.mean), along.own - self.by_response(x.own))
 
-    def information(self, shared: Array, own: Array, weights: Array) -> Information:
-        """JᵀWJ."""
-        root = np.sqrt(weights)[..., None]
-        return Information.of(shared * root, own * root)
-
-    def projected(self, shared: Array, own: Array, weighted: Array) -> Step:
+    def projected(self, slopes: Slopes, weighted: Array) -> Step:
         """Jᵀ of weighted rows."""
-        return Step(np.tensordot(shared, weighted, ((0, 1), (0, 1))), (np.swapaxes(own, 1, 2) @ weighted[..., None])[..., 0])
+        shared, own = slopes.along(lambda at: weighted[at, :, None])
+        return Step(shared[..., 0], own[..., 0])
 
     def solved(self, factor: Factor, gradient: Step) -> Step:
         """Step by DOF from a gradient by response."""
@@ -185,6 +182,6 @@ class Problem:
             metric += by.T @ by
         return metric
 
-    def spread(self, shared: Array, own: Array, step: Step) -> Array:
+    def spread(self, slopes: Slopes, step: Step) -> Array:
         """J step, (responses, rows)."""
-        return np.asarray(shared @ step.shared + (own @ self.by_response(step.own)[..., None])[..., 0])
+        return slopes.moved(step.shared, self.by_response(step.own))

@@ -50,6 +50,10 @@ class Rows:
     def __init__(self, basis: Array | None = None, weights: Array | None = None) -> None:
         self.basis, self.weights = basis, weights
 
+    def of_responses(self, at: slice) -> Rows:
+        """Those of some responses."""
+        return Rows(None if self.basis is None else self.basis[at], None if self.weights is None else self.weights[:, at])
+
     def of(self, planes: Array) -> Array:
         """Of real and imaginary parts (responses, references, 2, lines, k), which may be changed: (responses, references, 2, rows, k)."""
         if self.weights is not None:

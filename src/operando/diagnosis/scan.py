@@ -17,6 +17,7 @@ from operando.diagnosis.eigenmodes import ScannableModes
 from operando.diagnosis.forward import Point, Scannable
 from operando.diagnosis.posterior import State, linear_evidence
 from operando.diagnosis.problem import Problem, Step
+from operando.diagnosis.slopes import Slopes
 from operando.diagnosis.terms import Term, added, changes
 from operando.processes import side_by_side
 
@@ -193,7 +194,7 @@ class LinearScan:
         self.w = case.lines.w[self.at]
         problem = self.problem = Problem(case, self.x.terms, self.at, self.stride)
         packed = self.packed = problem.packed(self.x)
-        shared, own, _ = problem.derived(packed)
+        shared, own = problem.derived(packed)[0].whole()
         self.state = case.forward.scannable(self.x, self.w)
         self.weights = np.sqrt(problem.weights(state.alpha))[..., None]
         self.shared, self.own = shared * self.weights, own * self.weights
@@ -203,7 +204,7 @@ class LinearScan:
         self.factor = Factor.of(Information.of(self.shared, self.own), precision, problem.own_precision)
         without = packed.shared.copy()
         without[values] = 0
-        self.offset = problem.spread(self.shared, self.own, Step(without, packed.own))[..., None]
+        self.offset = Slopes(lambda: [(slice(None), self.shared, self.own)]).moved(without, problem.by_response(packed.own))[..., None]
         self.measured = problem.rows(problem.measured[..., None]) * self.weights
 
     def residuals(self, terms: Sequence[Term]) -> Array:
@@ -259,8 +260,8 @@ class LinearScan:
         packed = problem.packed(x)
         try:
             with np.errstate(all="ignore"):
-                shared, own, residual = problem.derived(packed)
-                evidence = linear_evidence(problem, residual, shared, own, packed, self.fitted.alpha)[0]
+                slopes, residual = problem.derived(packed)
+                evidence = linear_evidence(problem, residual, slopes, packed, self.fitted.alpha)[0]
         except np.linalg.LinAlgError:
             return -np.inf
         return evidence if np.isfinite(evidence) else -np.inf
