@@ -428,6 +428,19 @@ def test_frf_csv_round_trip(tmp_path, quantity):
     assert inspect_files([tmp_path / "a.csv"])["files"][0]["frfs"][0]["pairs_measured"] == 5
 
 
+@pytest.mark.parametrize("shape", [(1, 2, 40), (2, 1, 40), (12, 3, 10), (1, 1, 5), (1, 1, 1)])
+def test_frfs_in_matlab_files_keep_rows_columns_and_lines(tmp_path, shape):
+    h = RNG.normal(size=shape) + 1j * RNG.normal(size=shape)
+    labels = tuple(f"{i + 1}+Z" for i in range(12))
+    frf = Frf(h, np.arange(1, shape[2] + 1) / 2, labels[: shape[0]], labels[-shape[1] :], "mobility")
+    frf.save(tmp_path / "a.mat")
+    content = read(tmp_path / "a.mat")
+    (back,) = content.frfs
+    np.testing.assert_array_equal(back.data, frf.data)
+    assert (back.responses, back.references, back.quantity, back.axis) == (frf.responses, frf.references, frf.quantity, frf.axis)
+    assert [s.title for s in content.sets if s.status != "used"] == []
+
+
 def test_frf_csv_written_elsewhere(tmp_path):
     path = tmp_path / "a.csv"
     rows = "\n".join(f"{0.01 * k},{k},{10 * k},x".replace(",x", "") for k in range(1, 12))

@@ -91,15 +91,16 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     for variable in source.arrays:
         value = np.squeeze(variable.value)
         try:
-            if not _is_data(value, variable):
+            named = _named_shape(value, variable, source)
+            if named is None and not _is_data(value, variable):
                 used = _is_axis(value, variable)
                 notes[variable.path] = "" if used else "neither data nor an axis of data"
                 continue
-            notes[variable.path] = groups.take(value, variable)
+            notes[variable.path] = groups.take(value, variable) if named is None else "alone"
             if notes[variable.path] != "alone":
                 continue
             if np.iscomplexobj(value):
-                frf, found = _frf(value, variable, source)
+                frf, found = _frf(value, named, variable, source)
                 frfs.append(frf)
                 findings += found
             else:
@@ -252,7 +253,7 @@ def _sampling(variable: Variable, arrays: list[Variable], samples: int, rate: fl
 
 
 def _is_axis(value: NDArray[Any], variable: Variable) -> bool:
-    return value.ndim <= 1 and any(p.match(variable.name) for p in (_RATE, _STEP, _TIME, _FREQUENCY, re.compile("^(start|t0|start_s)$")))
+    return value.ndim <= 1 and any(p.match(variable.name) for p in (_RATE, _STEP, _TIME, _FREQUENCY, re.compile("^(start|t0|start_s|si)$")))
 
 
 def _is_data(value: NDArray[Any], variable: Variable) -> bool:
@@ -285,10 +286,21 @@ def _table_record(value: NDArray[Any], variable: Variable, source: Source) -> Ti
     return _record(table, labels, stated if len(stated) == len(table) else [""] * len(table), sampling, variable.path, source)
 
 
-def _frf(value: NDArray[Any], variable: Variable, source: Source) -> tuple[Frf, list[Finding]]:
-    side = int(np.argmax(value.shape))
-    frequencies = _frequencies(variable, source, value.shape[side])
-    table = np.moveaxis(value, side, -1)
+def _named_shape(value: NDArray[Any], variable: Variable, source: Source) -> tuple[int, int, int] | None:
+    """Lines, responses and references of complex numbers in that order, where the file names the latter two beside a frequency vector."""
+    counts = [len(texts_named(source.variables, re.compile(f"^{n}$")).get(variable.home, [])) for n in ("responses", "references")]
+    if not np.iscomplexobj(value) or not all(counts):
+        return None
+    shape = (value.size // (counts[0] * counts[1]), counts[0], counts[1])
+    vector = _beside(variable, source.arrays, _FREQUENCY, lambda v: v.size == shape[0])
+    return shape if vector is not None and value.shape == tuple(n for n in shape if n > 1) else None
+
+
+def _frf(value: NDArray[Any], named: tuple[int, int, int] | None, variable: Variable, source: Source) -> tuple[Frf, list[Finding]]:
+    """FRFs of an array: as the file names its sides, else with the longest one for the lines."""
+    side = 0 if named is not None else int(np.argmax(value.shape))
+    table = np.moveaxis(value if named is None else value.reshape(named), side, -1)
+    frequencies = _frequencies(variable, source, table.shape[-1])
     table = table[:, None] if table.ndim == 2 else table.reshape((1,) * (3 - table.ndim) + table.shape)
     responses = _stated_dofs(variable, source.variables, "responses", table.shape[0])
     references = _stated_dofs(variable, source.variables, "references", table.shape[1])
