@@ -300,6 +300,7 @@ MISTAKES = {
         None,
     ),
     "effect at an unknown DOF": (["add", "results", "point_mass@9+Z"], 1, r"DOF 9\+Z", "point_mass", r"[1-4]\+Z"),
+    "the idle model to remove": (["remove", "results", "0"], 1, "step 0 is the idle model", "results", "no effect has been added"),
     "no step to remove": (["remove", "results", "3"], 1, "there is no step 3", "results", "no effect has been added"),
     "comparison written over the measurement": (
         ["compare", "results", "idle/run1.uff", "-o", "idle/run1.uff"],

@@ -87,7 +87,8 @@ def remove_effect(folder: str, step: int, *, progress: Progress) -> Refit:
         effects = accepted(state)
         if not 1 <= step <= len(effects):
             have = f"1 to {len(effects)}" if effects else "none: no effect has been added"
-            raise ConfigError(f"there is no step {step} to remove", where=folder, hint=f"steps with an effect: {have}")
+            said = "step 0 is the idle model, no effect to remove" if step == 0 else f"there is no step {step} to remove"
+            raise ConfigError(said, where=folder, hint=f"steps with an effect: {have}")
         return [e for i, e in enumerate(effects, 1) if i != step]
 
     return _changed(folder, "remove", less, progress)

@@ -70,9 +70,12 @@ def has_restoring_force(effect: Effect) -> bool:
 def law_of(effect: Effect, idle: ModalModel) -> tuple[ForceLaw, Real]:
     """Force law of an effect, and the weights (m,) of the DOFs along which it acts."""
     if not has_restoring_force(effect):
-        raise ConfigError(f"{effect.kind} has no restoring force of displacement and velocity, so it cannot be simulated in time")
+        raise ConfigError(
+            f"{effect.kind} has no restoring force of displacement and velocity, so it cannot be simulated in time",
+            hint=f"a level-dependent effect can stand beside others of its sort and {', '.join(LINEAR)}: leave one of the two out",
+        )
     if not effect.location:
-        raise ConfigError(f"{effect.kind} stands at a position without a sensor: not simulated yet")
+        raise ConfigError(f"{effect.kind} stands at a position without a sensor: not simulated yet", hint="name measured DOFs")
     values = {k: float(v) for k, v in effect.values.items()}
     if effect.removed:
         first = effect.definition.parameters[0].name
