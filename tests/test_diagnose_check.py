@@ -15,8 +15,9 @@ from operando.diagnosis.terms import _HELD, Term
 from operando.dof import Dof
 from operando.errors import IdentificationError, MissingError
 from operando.pipeline.by_hand import model_now
+from operando.plots import plot_steps
 from operando.results import CheckRun
-from operando.structure.effects import EffectKind, Parameter, parse_effect, register, unregister
+from operando.structure.effects import Effect, EffectKind, Parameter, parse_effect, register, unregister
 from structures import Chain
 
 N = 7
@@ -180,6 +181,14 @@ def test_a_held_removed_effect_is_said_to_be_removed_and_has_no_interval(chain, 
     assert held["words"][0].startswith("removed point_mass at 5+Z: ")
     assert model_now(held["effects"])[1] == "  1 removed point mass at 5+Z: 100 g (held)"
     assert "+ removed point_mass 5+Z" in steps_table(held["ladder"])
+
+
+def test_steps_name_the_position_of_an_effect_between_sensors():
+    mass = Effect("point_mass", (), {"mass": 0.1}, position=(0.3, 0.1, 0.0), direction="+Z")
+    rows = [{"step": 1, "added": mass.to_dict(), "error_db": 1.0, "heldout_error_db": 1.0, "misfit": 1.0, "heldout_misfit": 1.0}]
+    assert "+ point_mass (0.3, 0.1, 0) m, +Z" in steps_table(rows)
+    axes = plot_steps({"ladder": rows, "noise_floor_db": None})
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["+ point_mass\n(0.3, 0.1, 0) m, +Z"]
 
 
 @pytest.mark.parametrize(("std", "held"), [(0.9 * _HELD, True), (1.1 * _HELD, False)])

@@ -378,7 +378,7 @@ def test_wrong_calls_are_refused(finished, tmp_path):
     assert issubclass(IdentificationError, operando.OperandoError)
 
 
-def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
+def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path, monkeypatch):
     """The whole story from the command line: named, taken back, a wrong one added and called wrong, the right one suggested."""
     from click.testing import CliRunner
 
@@ -393,7 +393,9 @@ def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
         assert done.exit_code == 0, done.output
         return json.loads(done.stdout)
 
-    found = call("diagnose", str(folder))
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
+    found = call("diagnose", str(folder), "--open")
     assert found["schema"] == "operando/diagnosis/2"
     assert found["verdict"] in ("explained", "ambiguous")
     right = found["effects"][0]
@@ -404,12 +406,13 @@ def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
     before, after = (row["heldout_misfit"] for row in found["ladder"][:2])
     assert after < 0.1 * before
     good = strict(folder / "comparison.json")
-    assert len(call("remove", str(folder), "1")["ladder"]) == 1
+    assert len(call("remove", str(folder), "1", "--open")["ladder"]) == 1
     bare = strict(folder / "comparison.json")
     assert "effect" not in bare["models"]
     assert not any("effect" in run["models"] for run in bare["by_run"])
     assert bare["models"]["idle"] == good["models"]["idle"]
-    wrong = call("add", str(folder), "point_mass@1+Z=mass:0.01")
+    wrong = call("add", str(folder), "point_mass@1+Z=mass:0.01", "--open")
+    assert opened == [(folder / "report.html").resolve().as_uri()] * 3
     assert wrong["ladder"][1]["heldout_misfit"] > 100 * after
     assert any("the data speak for another one" in word and "3+Z" in word for word in wrong["words"])
     bad = strict(folder / "comparison.json")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from operando.cli.answer import Answer, answers, own_option, table
-from operando.cli.test_file import need_stage, output_option, read_test, results_folder, set_option
+from operando.cli.summary import open_report, run_to
+from operando.cli.test_file import need_stage, open_option, output_option, read_test, results_folder, set_option
 
 if TYPE_CHECKING:
     from operando.pipeline.by_hand import Refit
@@ -19,9 +20,10 @@ if TYPE_CHECKING:
 @click.argument("source", metavar="DIR|TEST", type=click.Path())
 @output_option
 @set_option
+@open_option
 @own_option
 @answers
-def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answer:
+def diagnose(source: str, output: str | None, changes: tuple[str, ...], show: bool) -> Answer:
     """Where the error of the idle model lies in operation, and what is missing.
 
     A results folder shows its diagnosis; a test file is run up to this stage first.
@@ -29,15 +31,14 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answe
     from operando.errors import MissingError
     from operando.store import load_results
 
-    path = Path(source)
+    path = folder = Path(source)
     if (path.is_file() and path.suffix == ".toml") or (
         path.is_dir() and not (path / "model.h5").exists() and (path / "test.toml").exists()
     ):
-        from operando.cli.summary import run_to
-
         test = read_test(path, changes)
         need_stage(test, "diagnose")
-        results = run_to(test, results_folder(test.name, output), "diagnose")
+        folder = results_folder(test.name, output)
+        results = run_to(test, folder, "diagnose", report=show or None)
     elif changes or output is not None:
         raise click.UsageError("--set and -o belong to a test file; the results folder given has its settings")
     else:
@@ -49,6 +50,8 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answe
         test_file = source_of(path) or "test.toml"
         hint = f"`operando run {test_file} -o {source}` makes it" if path.is_dir() else "run the test to the stage diagnose"
         raise MissingError(f"there is no diagnosis: {reason}", where=source, hint=hint)
+    if show:
+        open_report((folder.parent if folder.is_file() else folder) / "report.html")
     return Answer(results.diagnosis, text_of(results.name, results.diagnosis))
 
 
@@ -73,14 +76,13 @@ def text_of(name: str | None, document: dict[str, Any]) -> str:
 def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | None = None) -> str:
     """The error before and after each step, on all lines and on those that nothing was fitted to; these are named."""
     from operando.report.words_diagnosis import lines_words
+    from operando.structure.effects import place_words
 
     rows = []
     for row in ladder:
         added = row["added"]
         label = (
-            "idle model"
-            if added is None
-            else f"+ {'removed ' if added.get('removed') else ''}{added['kind']} {', '.join(added['location'])}".strip()
+            "idle model" if added is None else f"+ {'removed ' if added.get('removed') else ''}{added['kind']} {place_words(added)}".strip()
         )
         rows.append([row["step"], label, row["error_db"], row["heldout_error_db"], row["misfit"], row["heldout_misfit"]])
     said = lines_words(judged_on or {})
@@ -90,7 +92,9 @@ def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | Non
     return f"{head}{used}\nχ²: reduced chi-square, 1 = as good as the noise allows" + (f"; hold-out set: {said}" if said else "")
 
 
-def refit_answer(refit: Refit) -> Answer:
+def refit_answer(refit: Refit, folder: str, show: bool) -> Answer:
     """What `add` and `remove` did: in words, and as the error before and after."""
     done = refit.document
+    if show:
+        open_report(Path(folder) / "report.html")
     return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*refit.words, "", steps_table(done["ladder"], done["judged_on"])]))

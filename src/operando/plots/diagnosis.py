@@ -10,6 +10,7 @@ import numpy as np
 from operando.errors import DataError
 from operando.plots.errors import document_of, draw_errors
 from operando.plots.style import GREEN, GREY, IDLE, INK, MEASURED, MODEL, new_axes, style
+from operando.structure.effects import place_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -161,4 +162,4 @@ def _added(effect: Mapping[str, Any] | None) -> str:
     """What a step adds, in two lines."""
     if effect is None:
         return "idle model"
-    return "\n".join(part for part in (f"+ {effect['kind']}", ", ".join(map(str, effect.get("location") or ()))) if part)
+    return "\n".join(part for part in (f"+ {effect['kind']}", place_words(effect)) if part)

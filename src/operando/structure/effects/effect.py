@@ -152,7 +152,7 @@ class Effect:
     def place(self) -> str:
         """Where, in words."""
         if self.position is not None:
-            return f"({', '.join(f'{v:.4g}' for v in self.position)}) m, {self.direction}"
+            return place_words({"position": self.position, "direction": self.direction})
         return " and ".join(str(d) for d in self.location)
 
     @property
@@ -260,6 +260,14 @@ class Effect:
                 first = self.definition.removable and name == self.definition.names[0]
                 numbers.append(f"{name}:{(self.sign if first else 1.0) * value:.6g}")
         return f"{self.kind}{f'@{place}' if place else ''}{'=' + ','.join(numbers) if numbers else ''}"
+
+
+def place_words(effect: Mapping[str, Any]) -> str:
+    """Where an effect of a document stands, in short: its DOFs, or where no sensor is its position."""
+    position = effect.get("position")
+    if position:
+        return f"({', '.join(f'{v:.4g}' for v in position)}) m, {effect['direction']}"
+    return ", ".join(map(str, effect.get("location") or ()))
 
 
 def with_spread(value: float, std: float) -> str:
