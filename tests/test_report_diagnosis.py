@@ -395,7 +395,7 @@ def test_effects_lower_the_map_to_the_noise(whole):
     run = derive.validation_run(whole)
     edges = derive.band_edges(BAND)
     before = error_map(derive.model_frf(whole.idle, run.frf), run.frf, edges)
-    after = error_map(derive_diagnosis.predicted(model, run.frf), run.frf, edges)
+    after = error_map(derive.model_frf(model, run.frf), run.frf, edges)
     noise = derive_diagnosis.noise_by_dof_band(run.frf, edges)
     assert np.nanmax(before) > 3.0
     # the check was made with just this mass: what is left is the noise the map states

@@ -136,19 +136,9 @@ class Comparison(Short):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON object as in the specification."""
-        return {
-            "error_db": self.error_db,
-            "relative_error": self.relative_error,
-            "misfit": self.misfit,
-            "misfit_meas": self.misfit_meas,
-            "noise_floor_db": self.noise_floor_db,
-            "model_share": self.model_share,
-            "by_dof": [dict(d) for d in self.by_dof],
-            "by_band": [dict(d) for d in self.by_band],
-            "by_mode": [dict(d) for d in self.by_mode],
-            "n_lines": self.n_lines,
-            "notes": list(self.notes),
-        }
+        figures = ("error_db", "relative_error", "misfit", "misfit_meas", "noise_floor_db", "model_share")
+        rows = {name: [dict(row) for row in getattr(self, name)] for name in ("by_dof", "by_band", "by_mode")}
+        return {name: getattr(self, name) for name in figures} | rows | {"n_lines": self.n_lines, "notes": list(self.notes)}
 
 
 @overload

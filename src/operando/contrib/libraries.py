@@ -170,18 +170,15 @@ def compare_libraries(
         raise DataError("there is nothing to compare", hint="give idle FRFs, operating records, or both")
     seconds = dict(own_seconds or {})
     found = []
-    if frf is not None:
-        if idle is None:
+    states: Any = (("idle", frf, idle, fit_ema, _idle), ("operating", records, operating, fit_oma, _operating))
+    for state, data, model, fit, beside in states:
+        if data is None:
+            continue
+        if model is None:
             started = time.perf_counter()
-            idle = fit_ema(frf, band=band)
-            seconds["idle"] = time.perf_counter() - started
-        found.append(_idle(frf, idle, seconds.get("idle")))
-    if records is not None:
-        if operating is None:
-            started = time.perf_counter()
-            operating = fit_oma(records, band=band)
-            seconds["operating"] = time.perf_counter() - started
-        found.append(_operating(records, operating, seconds.get("operating")))
+            model = fit(data, band=band)
+            seconds[state] = time.perf_counter() - started
+        found.append(beside(data, model, seconds.get(state)))
     return tuple(found)
 
 

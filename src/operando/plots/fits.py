@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Frf, ModalModel, expect, ordered_band
-from operando.errors import DataError, ObjectError
+from operando.errors import DataError
 from operando.indicators import frf_correlation
 from operando.plots.frfs import magnitude_label
 from operando.plots.matrix import draw_matrix
@@ -117,8 +117,7 @@ def plot_nyquist(
     >>> operando.plots.plot_nyquist(frf, model, mode=0).get_title(loc="left")
     '1+Z from 1+Z, mode 0: 20.00 Hz, ζ 2.00 %'
     """
-    if not isinstance(frf, Frf):
-        raise ObjectError(f"an FRF can be drawn here, not {type(frf).__name__}", hint="model.frf(...) and read(file).frfs give them")
+    expect(frf, Frf, "an FRF can be drawn here", "model.frf(...) and read(file).frfs give them")
     i, j = next(iter(frf.drive_points()), (0, 0))
     pair = (frf.responses[i] if response is None else response, frf.references[j] if reference is None else reference)
     part = frf.select((pair[0],), (pair[1],)).to_quantity(quantity or frf.quantity)

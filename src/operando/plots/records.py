@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Channel, TimeRecord, ordered_band
-from operando.errors import DataError, ObjectError
+from operando.data import Channel, TimeRecord, expect, ordered_band
+from operando.errors import DataError
 from operando.plots.style import CYCLE, IDLE, INK, MEASURED, PURPLE, frequency_axis, log_axis, new_axes, new_stack, short_name, style, thin
 from operando.printable import printable
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from operando.quality import Pulse
+
+DRAWN = "a time record can be drawn here", "read(file).records[0] is one"
+"""What figures say of what is none, and what to do."""
 
 SYMBOLS = {"m/s2": "m/s²", "rad/s2": "rad/s²", "N m": "N·m"}
 
@@ -180,7 +183,7 @@ def plot_force_spectra(
     >>> operando.plots.plot_force_spectra(operando.TimeRecord(force, 1000.0, (channel,))).get_ylabel()
     'Force spectrum of each hit [N·s]'
     """
-    _check(record)
+    expect(record, TimeRecord, *DRAWN)
     rows = record.force_indices
     if not rows:
         raise DataError(
@@ -224,7 +227,7 @@ def plot_hits(record: TimeRecord, axes: Axes | None = None) -> Axes:
     >>> operando.plots.plot_hits(operando.TimeRecord(force, 1000.0, (channel,))).get_title(loc="left")
     '3+Z: 2 hits, 2 used'
     """
-    _check(record)
+    expect(record, TimeRecord, *DRAWN)
     from operando.quality import pulses
 
     hits = pulses(record)
@@ -296,16 +299,11 @@ def draw_hits(axes: Axes, hits: Sequence[Pulse], channel: Channel, sampling_hz: 
     axes.legend(loc="upper right", title="Hit", fontsize=7.5, ncols=1 if len(hits) <= 12 else 2)
 
 
-def _check(record: object) -> None:
-    if not isinstance(record, TimeRecord):
-        raise ObjectError(f"a time record can be drawn here, not {type(record).__name__}", hint="read(file).records[0] is one")
-
-
 def _part(record: TimeRecord, channels: object) -> tuple[TimeRecord, int]:
     """The channels drawn, and how many there are."""
     from operando.quality import SHOWN_CHANNELS
 
-    _check(record)
+    expect(record, TimeRecord, *DRAWN)
     total = len(record.channels)
     if channels is not None:
         return record[channels], total

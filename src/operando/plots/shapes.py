@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Geometry, ModalModel, direction_of
+from operando.data import Geometry, ModalModel, direction_of, expect
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.plots.mesh import Mesh, patches
@@ -215,8 +215,7 @@ def plot_geometry(geometry: Geometry, axes: Axes | None = None, *, dofs: Sequenc
     >>> operando.plots.plot_geometry(beam).get_xlabel()
     'x [m]'
     """
-    if not isinstance(geometry, Geometry):
-        raise ObjectError(f"a geometry can be drawn here, not {type(geometry).__name__}", hint="read(file).geometry is one")
+    expect(geometry, Geometry, "a geometry can be drawn here", "read(file).geometry is one")
     mesh = Mesh(geometry, [Dof(n, "Z") for n in geometry.nodes])
     with style():
         axes = new_axes(7.5, 6.0, "3d") if axes is None else axes

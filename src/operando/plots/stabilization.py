@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Frf, ModalModel, expect, ordered_band, unit_of
-from operando.errors import DataError, ObjectError
+from operando.errors import DataError
 from operando.plots.style import (
     GREEN,
     GREY,
@@ -109,10 +109,7 @@ def plot_stabilization(
     >>> ax.get_ylabel()
     'Model order [poles]'
     """
-    if not isinstance(stabilization, Stabilization):
-        raise ObjectError(
-            f"a stabilisation diagram can be drawn here, not {type(stabilization).__name__}", hint="model.details.stabilization is one"
-        )
+    expect(stabilization, Stabilization, "a stabilisation diagram can be drawn here", "model.details.stabilization is one")
     table = stabilization.table
     modes = np.asarray(stabilization.selected_hz if modes_hz is None else modes_hz, float)
     low, high = _limits(table.frequency_hz, band)
