@@ -16,20 +16,12 @@ Given = Mapping[tuple[str, str], str]
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of the test file, in words by ``str``.
-
-    Parameters
-    ----------
-    section, key : str
-        Empty for the file as a whole, or the section as a whole. A key outside all sections has no section.
-    given : mapping
-        Which line or option gave each key.
-    """
+    """An entry of the test file, in words by ``str``."""
 
     file: str
-    section: str = ""
-    key: str = ""
-    given: Given = field(default_factory=dict, repr=False)
+    section: str = ""  # empty for the file as a whole, and of a key outside all sections
+    key: str = ""  # empty for the section as a whole
+    given: Given = field(default_factory=dict, repr=False)  # which line or option gave each key
 
     def at(self, key: str) -> Entry:
         """A key of this section."""

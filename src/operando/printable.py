@@ -30,14 +30,8 @@ def printable(text: object, lines: bool = False) -> str:
     r"""Text in which nothing acts on a terminal, a page or a table.
 
     Control characters, terminal escapes and marks that turn the direction of writing appear as ``\x1b`` or ``\u202e``. A word of more
-    than ``LONGEST_WORD`` characters is cut in the middle, and how many there were is said.
-
-    Parameters
-    ----------
-    text : object
-        Its text is taken.
-    lines : bool
-        Keep line ends and tabs: the text is laid out by operando, not a label of a file.
+    than ``LONGEST_WORD`` characters is cut in the middle, and how many there were is said. Line ends and tabs are kept in ``lines``: text
+    laid out by operando, not a label of a file.
     """
     pattern = _ACTIVE_IN_LINES if lines else _ACTIVE
     return _LONG_WORD.sub(_cut, pattern.sub(lambda m: escaped(m[0]), str(text)))

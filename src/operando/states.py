@@ -18,16 +18,10 @@ from operando.values import Record, StateFiles
 
 @dataclass(frozen=True)
 class Span:
-    """The part of a record that counts, on the record's own time axis.
+    """The part of a record that counts, on the record's own time axis."""
 
-    Parameters
-    ----------
-    start_s, stop_s : float or None
-        First and last time [s]; None: from the beginning, to the end.
-    """
-
-    start_s: float | None = None
-    stop_s: float | None = None
+    start_s: float | None = None  # first time [s]; None: from the beginning
+    stop_s: float | None = None  # last time [s]; None: to the end
 
     def __str__(self) -> str:
         start = "the beginning" if self.start_s is None else f"{self.start_s:g} s"
@@ -36,21 +30,11 @@ class Span:
 
 @dataclass(frozen=True)
 class State:
-    """Files of one state of the structure (idle, operating or check).
+    """Files of one state of the structure (idle, operating or check)."""
 
-    Parameters
-    ----------
-    records : tuple of Path
-        Raw time histories, one run a file. A file stands here twice where two parts of it count.
-    frfs : tuple of Path
-        FRFs measured elsewhere.
-    spans : tuple of Span or None
-        One for each of ``records``, None where all of it counts; empty: all of all.
-    """
-
-    records: tuple[Path, ...] = ()
-    frfs: tuple[Path, ...] = ()
-    spans: tuple[Span | None, ...] = ()
+    records: tuple[Path, ...] = ()  # raw time histories, one run a file; a file stands here twice where two parts of it count
+    frfs: tuple[Path, ...] = ()  # FRFs measured elsewhere
+    spans: tuple[Span | None, ...] = ()  # one for each of ``records``, None where all of it counts; empty: all of all
 
     def __post_init__(self) -> None:
         if self.spans and len(self.spans) != len(self.records):

@@ -66,33 +66,14 @@ def load(path: str | Path, kind: type[Any] = object) -> Any:
 
 
 def save_results(results: Results, path: str | Path) -> None:
-    """Write results to HDF5; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Usually ``model.h5`` in the results folder.
-
-    Raises
-    ------
-    DataError
-        If a result holds something that has no lasting form.
-    """
+    """Write results to HDF5, usually ``model.h5`` of the results folder; the file appears whole or not at all."""
     from operando.io import write_hdf5
 
     write_hdf5(path, {name: getattr(results, name) for name in _NAMES})
 
 
 def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results:
-    """Read what :func:`save_results` wrote.
-
-    Parameters
-    ----------
-    path : path
-        ``model.h5``, or a results folder that holds one.
-    only : iterable of str, optional
-        Names of the fields wanted (the others keep their defaults); default all.
-    """
+    """Read what :func:`save_results` wrote, from ``model.h5`` or the folder that holds one; fields not wanted keep their defaults."""
     from operando.io import UNREADABLE, check_objects, opened_hdf5, read_objects
 
     path = path_of(path, "results are loaded from their folder")

@@ -23,26 +23,13 @@ MOST_STRETCHES = 3
 
 @dataclass(frozen=True)
 class Stretch:
-    """States, one after another, in which an effect differs from the baseline.
+    """States, one after another, in which an effect differs from the baseline."""
 
-    Parameters
-    ----------
-    what : {"appears", "is gone", "everywhere", "scattered"}
-    effect : dict
-        As it is at the first of them.
-    last : dict
-        As it is at the last of them.
-    states : tuple of int
-        Those that show it.
-    open : bool
-        Whether it holds to the last diagnosed state.
-    """
-
-    what: str
-    effect: Mapping[str, Any]
-    last: Mapping[str, Any]
-    states: tuple[int, ...]
-    open: bool
+    what: str  # appears, is gone, everywhere, scattered
+    effect: Mapping[str, Any]  # as it is at the first of them
+    last: Mapping[str, Any]  # as it is at the last of them
+    states: tuple[int, ...]  # those that show it
+    open: bool  # whether it holds to the last diagnosed state
 
 
 def told(diagnosis: Mapping[str, Any] | None) -> bool:
@@ -51,15 +38,7 @@ def told(diagnosis: Mapping[str, Any] | None) -> bool:
 
 
 def stretches(diagnoses: Sequence[Mapping[str, Any] | None], baseline: int) -> list[Stretch]:
-    """Effects that come, go, or are everywhere, against the baseline.
-
-    Parameters
-    ----------
-    diagnoses : sequence of dict or None
-        Of the states in order.
-    baseline : int
-        Where the baseline was not diagnosed, effects count as if it had none.
-    """
+    """Effects that come, go, or are everywhere in states in order, against the baseline; one not diagnosed counts as if it had none."""
     own = [{effect_key(e): e for e in (d or {}).get("effects") or []} for d in diagnoses]
     others = [{effect_key(e): e for e in (d or {}).get("ambiguous_with") or []} for d in diagnoses]
     known = [told(d) for d in diagnoses]
@@ -122,12 +101,7 @@ def outliers(values: Sequence[float], stds: Sequence[float | None]) -> list[int]
     """Places of single values that stand out from their neighbours: a spike, not a change that stays.
 
     The value is compared with the running median of five, which a change that stays, or goes on, passes through untouched. The first
-    and last two values are not tested: nothing tells a spike from a change there.
-
-    Parameters
-    ----------
-    stds : sequence of float or None
-        Their standard deviations; the scatter counts as no smaller.
+    and last two values are not tested: nothing tells a spike from a change there. The scatter counts as no smaller than the deviations.
     """
     x: NDArray[np.float64] = np.array(values, float)
     found: list[int] = []
@@ -146,12 +120,7 @@ def steps(
 ) -> list[tuple[int, int]]:
     """Pairs of neighbouring values between which there is a step: a change beyond five scatters of the usual one.
 
-    Parameters
-    ----------
-    places : sequence of float
-        On the axis: the usual change is one a length, where all are apart.
-    without : sequence of int
-        Values that stand out alone.
+    The usual change is one a length of the axis, where all places are apart. Values that stand out alone are left out.
     """
     keep = [i for i in range(len(values)) if i not in set(without)]
     if len(keep) < LEAST:

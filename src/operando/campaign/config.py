@@ -66,24 +66,12 @@ class Entries(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Member:
-    """One test of a campaign.
+    """One test of a campaign."""
 
-    Parameters
-    ----------
-    number : int
-        Its place in the campaign file, from 1.
-    name : str
-        Unique, and the name of its results folder.
-    path : Path or str
-        Test file, its URL in an object store, or the template.
-    template : str or None
-        Text of the template; None: the file as it is.
-    """
-
-    number: int
-    name: str
-    path: Path | str
-    template: str | None
+    number: int  # its place in the campaign file, from 1
+    name: str  # unique, and the name of its results folder
+    path: Path | str  # test file, its URL in an object store, or the template
+    template: str | None  # text of the template; None: the file as it is
     row: Row
 
     @property

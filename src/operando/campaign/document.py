@@ -24,14 +24,9 @@ Reader = Callable[[Sequence[Member]], Iterable[dict[str, Any]]]
 
 
 def document_of(campaign: Campaign, read: Reader, counts: Mapping[str, Any]) -> dict[str, Any]:
-    """The document ``operando/campaign/1``.
+    """The document ``operando/campaign/1`` with the counts of what the call did.
 
-    Parameters
-    ----------
-    read : callable
-        Gives the records of members one by one; it is called several times, so that the shapes of few states are held at once.
-    counts : mapping
-        What the call did.
+    ``read`` gives the records of members one by one; it is called several times, so that the shapes of few states are held at once.
     """
     members = list(campaign.members)
     rows = [_row(campaign, member, record) for member, record in zip(members, read(members), strict=True)]

@@ -46,18 +46,7 @@ def mode_figure(
 ) -> tuple[Figure, str]:
     """SVG: a value of every tracked mode over the parameter, with 95 % intervals; the modes are named at the right.
 
-    Parameters
-    ----------
-    tracks : sequence of dict
-        ``track``, ``points``.
-    value : callable
-        Value and deviation of a point.
-    over, label : str
-        Of the axes.
-    log : bool
-        Whether values that spread over more than a factor of five stand on a logarithmic axis.
-    baseline : float or None
-        Place of the baseline.
+    With ``log`` values that spread over more than a factor of five stand on a logarithmic axis.
     """
     height = min(max(3.0, 0.33 * len(tracks) + 1.2), 7.5)
     figure = new_figure(10.2, height)
@@ -151,12 +140,7 @@ def error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str)
 def effect_figure(rows: Sequence[tuple[str, Sequence[float], Sequence[float]]], over: str, known: Sequence[float]) -> tuple[Figure, str]:
     """SVG: which effect is missing in which state.
 
-    Parameters
-    ----------
-    rows : sequence of (name, places, places)
-        Where an effect is missing, and where the diagnosis does not show it.
-    known : sequence of float
-        Places of all states, also those without a diagnosis.
+    Each row has a name, the places where the effect is missing, and those where the diagnosis does not show it; ``known`` are all places.
     """
     height = 0.34 * len(rows) + 0.95
     figure = new_figure(10.2, height)

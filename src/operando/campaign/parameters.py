@@ -24,25 +24,13 @@ _DAY = re.compile(r"^\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}(\.\d+)?)?)?$")
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the parameter table.
+    """One row of the parameter table."""
 
-    Parameters
-    ----------
-    test, name : str or None
-        Test file and name of the row, where it gives them.
-    parameters : mapping
-        Name → value.
-    texts : mapping
-        Name → value as it stands in the table, for the place of ``{name}`` in a template.
-    changes : tuple of str
-        Entries of the test file this row changes, as ``--set`` takes them.
-    """
-
-    test: str | None = None
+    test: str | None = None  # test file of the row, where it gives one
     name: str | None = None
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-    texts: Mapping[str, str] = field(default_factory=dict)
-    changes: tuple[str, ...] = ()
+    parameters: Mapping[str, Value] = field(default_factory=dict)  # name → value
+    texts: Mapping[str, str] = field(default_factory=dict)  # name → value as it stands in the table, for ``{name}`` in a template
+    changes: tuple[str, ...] = ()  # entries of the test file this row changes, as ``--set`` takes them
 
 
 def value_of(text: str, decimal_comma: bool = False) -> Value:
@@ -138,21 +126,11 @@ def shown(name: str, value: Value | None, units: Mapping[str, str] | None = None
 
 @dataclass(frozen=True)
 class Axis:
-    """What results are shown over.
+    """What results are shown over."""
 
-    Parameters
-    ----------
-    label : str
-        Name with unit.
-    kind : {"number", "date", "order"}
-        Of dates, places are days since the first; else (texts, values missing) the tests stand in the order of the table.
-    places : tuple of float
-        One a test.
-    """
-
-    label: str
-    kind: str
-    places: tuple[float, ...]
+    label: str  # name with unit
+    kind: str  # number, date, or order (texts, or values missing: the tests stand as in the table)
+    places: tuple[float, ...]  # one a test; of dates, days since the first
 
 
 def axis_of(name: str | None, parameters: Sequence[Mapping[str, Value]], units: Mapping[str, str]) -> Axis:

@@ -23,20 +23,7 @@ def in_store(path: object) -> bool:
 
 
 def matches(pattern: str) -> tuple[str, dict[str, str]]:
-    """Files of a glob.
-
-    Parameters
-    ----------
-    pattern : str
-        URL, in which ``*`` stands for any name.
-
-    Returns
-    -------
-    root : str
-        The pattern as the store's own paths are written.
-    found : dict
-        Path in the store → URL.
-    """
+    """Files of a URL in which ``*`` stands for any name: the pattern as the store writes paths, and path in the store → URL."""
     with _store(pattern) as (files, path):
         return str(path), {str(p): str(files.unstrip_protocol(p)) for p in sorted(files.glob(path))}
 

@@ -30,38 +30,18 @@ PATIENCE_S = 20.0
 
 @dataclass(frozen=True)
 class Task:
-    """All that a worker needs to run a test; plain values, so that it can travel.
-
-    Parameters
-    ----------
-    path : str
-        Test file, its URL in an object store, or template.
-    text : str or None
-        The template filled in.
-    title : str
-        The test by its parameters.
-    changes : tuple of str
-        Entries changed, as ``--set`` takes them.
-    folder : str
-        Results folder of the test.
-    record : str
-        Path of its record.
-    fingerprint : str
-        Of the test and its files; see :func:`fingerprint`.
-    idle_from : str or None
-        Results folder of a test with the same files at rest, whose stages at rest may be taken over.
-    """
+    """All that a worker needs to run a test; plain values, so that it can travel."""
 
     name: str
-    path: str
-    text: str | None
-    title: str
-    changes: tuple[str, ...]
-    folder: str
-    record: str
+    path: str  # test file, its URL in an object store, or template
+    text: str | None  # the template filled in
+    title: str  # the test by its parameters
+    changes: tuple[str, ...]  # entries changed, as ``--set`` takes them
+    folder: str  # results folder of the test
+    record: str  # path of its record
     until: str | None
-    fingerprint: str
-    idle_from: str | None = None
+    fingerprint: str  # of the test and its files; see :func:`fingerprint`
+    idle_from: str | None = None  # results folder of a test with the same files at rest, whose stages at rest may be taken over
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""

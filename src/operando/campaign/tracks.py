@@ -24,28 +24,16 @@ FAR = 0.3
 
 @dataclass(frozen=True)
 class Point:
-    """A mode in one state.
+    """A mode in one state."""
 
-    Parameters
-    ----------
-    state : int
-        Place of the state in the order of the axis.
-    mode : int
-        Its number in the test's own results.
-    mac_before : float or None
-        MAC with the shape last seen.
-    mac_baseline : float or None
-        MAC with its shape in the baseline.
-    """
-
-    state: int
-    mode: int
+    state: int  # place of the state in the order of the axis
+    mode: int  # its number in the test's own results
     frequency_hz: float
     frequency_std_hz: float | None
     damping_ratio: float
     damping_ratio_std: float | None
-    mac_before: float | None = None
-    mac_baseline: float | None = None
+    mac_before: float | None = None  # MAC with the shape last seen
+    mac_baseline: float | None = None  # MAC with its shape in the baseline
 
 
 @dataclass
@@ -155,12 +143,7 @@ def _with(point: Point, mac_before: float | None = None, mac_baseline: float | N
 def follow(states: Iterable[Sequence[Mapping[str, Any]]], again: Iterable[Sequence[Mapping[str, Any]]], baseline: int) -> list[Track]:
     """Tracks of the modes of all states, numbered by frequency.
 
-    Parameters
-    ----------
-    states, again : iterables of sequences of dict
-        Modes of each state in order, twice: the second time to compare with the baseline wherever that stands.
-    baseline : int
-        State to compare against.
+    The modes of each state come in order, twice: the second time to compare with the baseline wherever that stands.
     """
     tracker = Tracker(baseline)
     for state, modes in enumerate(states):

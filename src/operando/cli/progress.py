@@ -28,12 +28,8 @@ active = False
 def following(stages: Sequence[str] = (), folder: Path | None = None) -> Iterator[Report]:
     """What reports the progress of a command until the block ends: nothing with -q, all messages with -v.
 
-    Parameters
-    ----------
-    stages : sequence of str
-        The stages that will run, in order; none where the command is one piece of work.
-    folder : Path, optional
-        Results folder; the timings of its last run say how long each stage takes.
+    The stages that will run stand in order; none where the command is one piece of work. The timings of the last run in the results folder
+    say how long each takes.
     """
     level = verbosity()
     if level < 0:

@@ -32,36 +32,18 @@ Tell = Callable[["Results"], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Said:
-    """What a run says.
+    """What a run says."""
 
-    Parameters
-    ----------
-    told : dict
-        What ``tell`` made of its results, as plain JSON values.
-    results : Results or None
-        The results themselves; None where nothing had changed.
-    """
-
-    told: dict[str, Any]
-    results: Results | None = None
+    told: dict[str, Any]  # what ``tell`` made of its results, as plain JSON values
+    results: Results | None = None  # the results themselves; None where nothing had changed
 
 
 def run_and_tell(
     test: Test, out: Path, tell: Tell, *, until: str | None = None, progress: Progress | None = None, report: bool | None = None
 ) -> Said:
-    """Run a test and tell what it found; of an unchanged test what was told before.
+    """Run a test (:func:`operando.pipeline.run`) and tell what it found; of an unchanged test what was told before.
 
-    Parameters
-    ----------
-    tell : callable
-        Results → plain JSON values. It depends on nothing but them and ``out``.
-    until, progress, report
-        As for :func:`operando.pipeline.run`.
-
-    Raises
-    ------
-    ConfigError, BusyError, WriteError
-        As for :func:`operando.pipeline.run`.
+    ``tell`` makes plain JSON values of the results; it depends on nothing but them and ``out``.
     """
     results_go_to(out)
     with results_folder(out, "run", make=True) as folder:

@@ -28,25 +28,9 @@ class Refit:
 
 
 def add_effects(folder: str, texts: Sequence[str], *, fix: bool = False, progress: Progress) -> Refit:
-    """Add effects to the idle model of a results folder and refit all of them.
+    """Add effects, as ``operando add`` takes them, to the idle model of a results folder and refit all of them; see :func:`present`.
 
-    Parameters
-    ----------
-    texts : sequence of str
-        As ``operando add`` takes them.
-    fix : bool
-        Hold the values given.
-    progress : callable
-        Called with (stage, message).
-
-    Raises
-    ------
-    MissingError
-        If the folder holds no idle model or no validation measurement.
-    ConfigError, DofError
-        If a text names no effect, or no measured DOF, or the model would hold an effect twice.
-    BusyError
-        If another process is at work there.
+    With ``fix`` the values given are held. No effect may stand in the model twice.
     """
 
     def more(state: Results) -> list[Effect]:

@@ -20,18 +20,10 @@ _NAMES = frozenset(f.name for f in fields(Results)) - {"findings"}
 
 @dataclass(frozen=True)
 class Kept:
-    """The result of a stage.
+    """The result of a stage."""
 
-    Parameters
-    ----------
-    found : dict
-        Fields of ``Results``, and ``findings`` of the stage itself.
-    seconds : float
-        How long it took.
-    """
-
-    found: dict[str, Any]
-    seconds: float
+    found: dict[str, Any]  # fields of ``Results``, and ``findings`` of the stage itself
+    seconds: float  # how long it took
 
     def standing(self, results: Results) -> list[str]:
         """Names of what the results hold as this stage found it."""
@@ -69,17 +61,7 @@ def save_stage(folder: ResultsFolder, stage: str, key: str, result: Mapping[str,
 
 
 def in_model(kept: Mapping[str, Kept], keys: Mapping[str, str], results: Results, model: str) -> dict[str, dict[str, Any]]:
-    """Entries of stages whose results stand in ``model.h5`` from here on.
-
-    Parameters
-    ----------
-    kept, keys : mapping
-        Result and key of each stage.
-    results : Results
-        What ``model.h5`` holds.
-    model : str
-        Its hash.
-    """
+    """Entries of stages whose results stand from here on in the ``model.h5`` of these results, named by its hash."""
     return {
         stage_file(stage): {"key": keys[stage], "seconds": result.seconds, "model": model, "fields": result.standing(results)}
         for stage, result in kept.items()

@@ -140,18 +140,9 @@ class ResultsFolder:
         return key
 
     def stage(self, name: str, key: str | None, write: Callable[[Path], Made], **more: Any) -> Made:
-        """Write a file aside; :meth:`commit` gives it its name.
+        """Write a file aside under a path inside the folder; :meth:`commit` gives it its name, and ``more`` to its entry in the manifest.
 
-        Parameters
-        ----------
-        name : str
-            Path inside the folder.
-        key : str or None
-            Of what it is made of; None for a file made by hand, which the next run makes again unless it is the same.
-        write : callable
-            Writes the file at the path it is given.
-        more
-            What the entry of the manifest shall hold besides.
+        Its key is of what it is made of; None for a file made by hand, which the next run makes again unless it is the same.
         """
         with writing(self._aside):
             self._aside.mkdir(exist_ok=True)
@@ -231,23 +222,9 @@ def default_folder(name: str) -> Path:
 
 @contextmanager
 def results_folder(path: str | Path, doing: str, *, make: bool = False) -> Iterator[ResultsFolder]:
-    """A results folder for this process alone, without what an earlier one left half done.
+    """A results folder for this process alone, made if asked, without what an earlier one left half done.
 
-    Parameters
-    ----------
-    doing : str
-        What is done there, for the message to a process that comes meanwhile.
-    make : bool
-        Whether a missing folder is made.
-
-    Raises
-    ------
-    BusyError
-        If another process is at work there.
-    MissingError
-        If there is no such folder.
-    WriteError
-        If it cannot be written.
+    Raises a BusyError where another process is at work there, which is told what is done here (``doing``).
     """
     path = Path(path)
     if not make and not path.is_dir():
@@ -267,15 +244,7 @@ def results_folder(path: str | Path, doing: str, *, make: bool = False) -> Itera
 
 @contextmanager
 def changing(path: str, doing: str) -> Iterator[ResultsFolder]:
-    """The results folder at a path (or around a ``model.h5``), for this process alone.
-
-    Raises
-    ------
-    MissingError
-        If it holds no results.
-    BusyError
-        If another process is at work there.
-    """
+    """The results folder at a path (or around a ``model.h5``) that holds results, for this process alone; see :func:`results_folder`."""
     from operando.store import load_results
 
     load_results(path, only=())  # before anything is made in a folder that is none

@@ -12,12 +12,7 @@ from operando.results import CheckRun
 def check_frfs(records: Sequence[TimeRecord], estimate: Callable[[list[TimeRecord]], Frf]) -> list[CheckRun]:
     """FRFs of the validation measurements: one for all levels where the estimate finds them homogeneous, else one a level, lowest first.
 
-    Parameters
-    ----------
-    records : sequence of TimeRecord
-        With forces and responses.
-    estimate : callable
-        Records → Frf; a finding ``nonlinear`` says that runs differ beyond their noise.
+    A finding ``nonlinear`` of the estimate says that runs differ beyond their noise.
     """
     groups = level_groups(records)
     everything = estimate(list(records))

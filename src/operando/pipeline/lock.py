@@ -28,21 +28,9 @@ _BEHIND_THE_TEXT = 1 << 30
 
 @contextmanager
 def exclusive(path: Path, doing: str) -> Iterator[None]:
-    """Hold the lock file ``path`` inside the block; it stays where it is, with the name of its last holder.
+    """Hold a lock file inside the block; it is made where it is missing, and stays with the name of its last holder and what that did.
 
-    Parameters
-    ----------
-    path : Path
-        Lock file; made where it is missing.
-    doing : str
-        What the holder does, for the message to others.
-
-    Raises
-    ------
-    BusyError
-        If another process holds it; its number and host are named.
-    WriteError
-        If the file cannot be written.
+    Raises a BusyError that names the holder where another process has it, a WriteError where the file cannot be written.
     """
     with writing(path.parent):
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)

@@ -142,19 +142,10 @@ def blamed(test: Test, file: Path, units: dict[str, Any] | None, error: Operando
 
 
 def check_names(test: Test, names: Mapping[Path, Names], found: Collection[str]) -> None:
-    """Whether every channel, DOF, band and frequency of the test file is in its files.
+    """Whether every channel, DOF, band and frequency of the test file is in its files; the nearest to one that is not is named.
 
-    Parameters
-    ----------
-    names : mapping
-        Of the files that could be read. Where one could not, names may be in it: frequencies alone are checked then.
-    found : collection of str
-        Entries of [channels] that a file had a channel for.
-
-    Raises
-    ------
-    UnfitTest
-        If one is not; the nearest is named.
+    Where a file could not be read, and has no names here, names may be in it: frequencies alone are checked then. ``found`` are the entries
+    of [channels] that a file had a channel for.
     """
     if all(file in names for file in test.files):
         _check_channels(test, names, found)

@@ -34,20 +34,12 @@ Writer = Callable[[Path, Results], list[Finding]]
 
 @dataclass(frozen=True)
 class Output:
-    """A file of the results folder.
-
-    Parameters
-    ----------
-    stage : str or None
-        Stage without which there is no such file; None: there always is.
-    whole : bool
-        Whether it tells of the settings, the findings and what was left out, besides what the stages made.
-    """
+    """A file of the results folder."""
 
     name: str
     write: Writer
-    stage: str | None = None
-    whole: bool = False
+    stage: str | None = None  # stage without which there is no such file; None: there always is
+    whole: bool = False  # whether it tells of the settings, the findings and what was left out, besides what the stages made
 
     def of(self, results: Results) -> Callable[[Path], list[Finding]]:
         """What writes this file of these results."""

@@ -98,13 +98,8 @@ def run_in(
 ) -> tuple[Results, list[tuple[str, str]] | None, list[str]]:
     """Run a test in a results folder that this process holds.
 
-    Returns
-    -------
-    results : Results
-    said : list of (stage, message) or None
-        What a run says that finds nothing changed; None where something would be tried again.
-    unwanted : list of str
-        Names of files of a results folder that these results do not have.
+    Beside the results stands what a run says that finds nothing changed (None where something would be tried again), and the names of the
+    files of a results folder that these results do not have.
     """
     with one_blas_thread():
         this = _Run(test, folder, progress or (lambda stage, message: None))

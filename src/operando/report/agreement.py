@@ -63,21 +63,10 @@ def agreement(ofrf: Mapping[str, Any], others: Sequence[tuple[str, float]]) -> l
 
 
 def against_the_floor(error: float, floor: float, misfit: Any, both: str, larger: str = "") -> str:
-    """What noise and the model's own uncertainty make of an error [dB], as the end of a sentence.
+    """What noise and the model's own uncertainty (``both``, in words) make of an error [dB, rms], as the end of a sentence.
 
     dB above ``FLOOR_DB`` are no longer those of small errors. Where the floor is above the error nothing is left to explain, unless the
-    reduced chi-square, which the few lines near antiresonances do not rule, says that something is.
-
-    Parameters
-    ----------
-    error, floor : float
-        dB, rms.
-    misfit : float or None
-        Reduced chi-square of the same lines.
-    both : str
-        Noise and the model's own uncertainty, in words.
-    larger : str, optional
-        Which of them is the larger part.
+    reduced chi-square of the same lines, which the few near antiresonances do not rule, says that something is.
     """
     if floor > FLOOR_DB:
         return f"; {both} alone may make more than {FLOOR_DB:g} dB, so how much of it is an error of the model cannot be stated"

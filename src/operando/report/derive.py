@@ -46,21 +46,13 @@ def scaling_of(results: Results) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ModePair:
-    """One mode from idle to operation.
+    """One mode from idle to operation."""
 
-    Parameters
-    ----------
-    idle, operating : int or None
-        Its number in each state; None where it has none.
-    row : dict
-        Its row of the pairing; empty where it was not paired.
-    """
-
-    idle: int | None
-    operating: int | None
+    idle: int | None  # its number at rest; None where it has none
+    operating: int | None  # the same in operation
     idle_hz: float | None
     operating_hz: float | None
-    row: dict[str, Any] = field(default_factory=dict)
+    row: dict[str, Any] = field(default_factory=dict)  # its row of the pairing; empty where it was not paired
 
     @property
     def percent(self) -> float | None:

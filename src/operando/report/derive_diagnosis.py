@@ -62,14 +62,7 @@ def noise_by_dof_band(measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.f
 
 
 def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Share of the measured response [%] by response DOF and band: root of the sum of |ΔH|² (or of the variance) over that of |H|².
-
-    Parameters
-    ----------
-    size2 : (n_responses, n_references, n_lines) array
-        |ΔH|² or variance.
-    edges : (n_bands + 1,) array [Hz]
-    """
+    """Share of the measured response [%] by response DOF and band: root of the sum of |ΔH|² (or of the variance) over that of |H|²."""
     mask = clear_lines(measured) & np.isfinite(size2)
     whole = np.where(mask, np.abs(measured.data) ** 2, 0.0)
     part = np.where(mask, size2, 0.0)
@@ -82,28 +75,15 @@ def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArr
 
 @dataclass(frozen=True)
 class Routes:
-    """Two routes to the operational FRFs: hybrid (idle shapes, operating poles) and idle model with effects.
+    """Two routes to the operational FRFs: hybrid (idle shapes, operating poles) and idle model with effects."""
 
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-    difference_db : (n_references, n_lines) array
-        rms over the responses at each line.
-    rms_db : (n_references,) array
-        rms over lines and responses.
-    hybrid_db, effect_db : (n_references,) arrays or None
-        Error of each against the check, where there is one; faults of channels count on the second route.
-    total_db : float
-        Over everything.
-    """
-
-    frequencies_hz: NDArray[np.float64]
+    frequencies_hz: NDArray[np.float64]  # (n_lines,)
     references: tuple[str, ...]
-    difference_db: NDArray[np.float64]
-    rms_db: NDArray[np.float64]
-    hybrid_db: NDArray[np.float64] | None
-    effect_db: NDArray[np.float64] | None
-    total_db: float
+    difference_db: NDArray[np.float64]  # (n_references, n_lines), rms over the responses at each line
+    rms_db: NDArray[np.float64]  # (n_references,), over lines and responses
+    hybrid_db: NDArray[np.float64] | None  # (n_references,), error against the validation measurement, where there is one
+    effect_db: NDArray[np.float64] | None  # the same; faults of channels count on this route
+    total_db: float  # over everything
 
 
 def routes(results: Results, model: Any) -> Routes | None:

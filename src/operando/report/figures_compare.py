@@ -18,16 +18,7 @@ if TYPE_CHECKING:
 
 @drawn
 def error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, noise_floor_db: float | None) -> tuple[Figure, str]:
-    """SVG: rms dB error of each model as a bar, with the noise floor as a line.
-
-    Parameters
-    ----------
-    names, keys : sequences of str
-        Words and key of each model.
-    error_db : array [dB]
-    noise_floor_db : float or None
-        What noise and model uncertainty explain [dB].
-    """
+    """SVG: rms error of each model [dB] as a bar, with the noise floor as a line: what noise and model uncertainty explain."""
     values = np.asarray(error_db, float)
     height = 0.62 + 0.3 * values.size
     figure = new_figure(7.6, height)
@@ -42,14 +33,9 @@ def error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, n
 def error_maps(
     maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[str], edges: ArrayLike, measure: str = "Level error, rms [dB]"
 ) -> tuple[Figure, str]:
-    """SVG: error by response DOF (rows) and frequency band (columns), one map a model, one colour scale.
+    """SVG: error by response DOF (rows) and frequency band (columns, between edges in Hz), one map a model, one colour scale.
 
-    Parameters
-    ----------
-    maps : sequence of (title, (n_rows, n_bands) array); NaN where no line stands clear of the noise
-    edges : (n_bands + 1,) array [Hz]
-    measure : str
-        What the numbers are.
+    NaN stands where no line stands clear of the noise.
     """
     n, k = max(len(rows), 1), max(len(maps), 2)
     cell = float(np.clip(4.2 / n, 0.13, 0.26))
@@ -72,13 +58,9 @@ def error_maps(
 def frequency_changes(
     labels: Sequence[str], frequency_percent: ArrayLike, damping_percent: ArrayLike, frequency_std: ArrayLike, damping_std: ArrayLike
 ) -> tuple[Figure, str]:
-    """SVG: change of frequency and of damping ratio from idle to operating for each paired mode, with 95 % intervals.
+    """SVG: change of frequency and of damping ratio [%] from idle to operating for each paired mode, with 95 % intervals.
 
-    Parameters
-    ----------
-    frequency_percent, damping_percent : arrays [%]
-    frequency_std, damping_std : arrays [%]
-        Standard deviations; NaN where not known.
+    Standard deviations [%] are NaN where not known.
     """
     figure = new_figure(10.2, 2.5)
     for left, values, std, title in (

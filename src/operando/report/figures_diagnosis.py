@@ -27,17 +27,7 @@ BADGE = {"good": "#00664a", "fair": "#7a5200", "poor": "#a33a00", "none": "#4b57
 
 @drawn
 def steps_figure(ladder: ErrorByStep, verdict: str, grade: str) -> tuple[Figure, str]:
-    """SVG: the error at each step, idle model first, each column with what was added, against the noise floor.
-
-    Parameters
-    ----------
-    ladder : ErrorByStep
-        At least one step.
-    verdict : str
-        Word on the badge.
-    grade : {"good", "fair", "poor", "none"}
-        Its colour.
-    """
+    """SVG: the error at each step, idle model first, each column with what was added, against the noise floor; the verdict as a badge."""
     rows = ladder.rows
     values = np.array([r.heldout for r in rows])
     n, slots = len(rows), max(len(rows), 2) + 0.4
@@ -158,13 +148,7 @@ def location_figure(found: Mapping[str, Any], geometry: Geometry) -> tuple[Figur
 def mode_errors(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
     """SVG: chi-square of each operational mode by the idle model and by the model with the effects, against 1, the noise.
 
-    Parameters
-    ----------
-    frequencies_hz : (n,) array
-    idle : (n,) array
-        NaN where not known.
-    added : (n,) array or None
-        With the effects.
+    NaN stands where it is not known.
     """
     hz = np.asarray(frequencies_hz, float)
     figure = new_figure(10.2, 2.7)
@@ -196,10 +180,7 @@ def mode_errors(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | N
 def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> tuple[Figure, str]:
     """SVG: dynamic stiffness δz(ω) that the check asks for at each place, real and imaginary part, with the fitted law.
 
-    Parameters
-    ----------
-    pictures : sequence of dict
-        ``frequency_hz``, ``real``, ``imag``, ``law_real``, ``law_imag`` (may be missing), ``unit``.
+    Each picture has ``frequency_hz``, ``real``, ``imag``, ``law_real``, ``law_imag`` (may be missing) and ``unit``.
     """
     row, top = 2.75, 0.28
     height = row * len(pictures) + top
@@ -267,14 +248,7 @@ def running_median(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]], most: int = 10) -> tuple[Figure, str]:
     """SVG: part of the idle model's error that one free force at each place explains, best first, without asking what kind of effect.
 
-    Parameters
-    ----------
-    places : sequence of dict
-        ``location`` (DOF labels) and ``remains`` (share of the error that is left).
-    found : sequence of frozenset of str
-        DOF labels of the accepted effects; their bars stand out.
-    most : int
-        Places shown.
+    Each place has ``location`` (DOF labels) and ``remains`` (share of the error that is left); the bars of those found stand out.
     """
     places = list(places)[:most]
     n = len(places)
@@ -298,15 +272,9 @@ def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset
 
 @drawn
 def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> tuple[Figure, str]:
-    """SVG: how far two sets of FRFs lie apart at each line, rms over the responses, one curve a reference.
+    """SVG: how far two sets of FRFs lie apart at each line [dB], rms over the responses, one curve a reference.
 
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-    difference_db : (n_references, n_lines) array [dB]
-        NaN where no response stands clear of the noise.
-    names : sequence of str
-        One a reference.
+    ``difference_db`` (n_references, n_lines) is NaN where no response stands clear of the noise.
     """
     hz = np.asarray(frequencies_hz, float)
     figure = new_figure(10.2, 2.6)

@@ -22,13 +22,7 @@ Pair = tuple[int, int, str]
 def frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Sequence[float] | None = None) -> tuple[Figure, str]:
     """SVG: magnitude, phase and coherence of some measured FRFs with the synthesised ones, their difference and the noise.
 
-    Parameters
-    ----------
-    model : Frf or None
-        On the same lines and pairs.
-    pairs : list of (response index, reference index, why shown)
-    band : (float, float), optional
-        Analysis band [Hz], shaded outside.
+    The model is on the same lines and pairs. Each pair has the index of its response, of its reference, and why it is shown.
     """
     columns = min(2, len(pairs))
     rows = -(-len(pairs) // columns)
@@ -75,18 +69,8 @@ def ofrf_pairs(
 ) -> tuple[Figure, str]:
     """SVG: magnitudes of operational FRFs with their 95 % band, the check measurement and the idle model, one panel a pair.
 
-    Parameters
-    ----------
-    check : Frf
-        The check measurement; a synthesised Frf of which only lines and labels are drawn where ``data`` is NaN.
-    ofrf, idle : Frf or None
-        On the same lines and pairs; the variance of ``ofrf`` gives the band.
-    pairs : list of (response index, reference index, why shown)
-    band : (float, float), optional
-    label : str
-        What the model with the band is.
-    on_hold_out : sequence of (float, float)
-        Frequency ranges [Hz] set off, whose lines nothing was fitted to.
+    All are on the same lines and pairs. Of a check whose data are NaN only lines and labels are drawn; the variance of ``ofrf`` gives the
+    band. Frequency ranges on the hold-out set [Hz] are set off: nothing was fitted to their lines.
     """
     columns = min(2, len(pairs))
     rows = -(-len(pairs) // columns)

@@ -25,20 +25,7 @@ def stabilization_diagram(
     harmonics_hz: Sequence[float] = (),
     indicator_name: str = "CMIF",
 ) -> tuple[Figure, str]:
-    """SVG: poles by model order over the mode indicator, modes taken as lines, rejected candidates as crosses below.
-
-    Parameters
-    ----------
-    stabilization : Stabilization
-    band : (float, float), optional
-        Analysis band [Hz].
-    modes_hz : array, optional
-        Final frequencies of the modes (after refinement); default: those selected in the diagram.
-    harmonics_hz : sequence of float
-        Harmonics of rotation [Hz], dashed.
-    indicator_name : str
-        What is drawn behind the poles.
-    """
+    """SVG: poles by model order over the mode indicator, modes taken as lines, rejected candidates as crosses below."""
     table = stabilization.table
     modes = np.asarray(stabilization.selected_hz if modes_hz is None else modes_hz, float)
     figure = new_figure(10.2, 4.9)
@@ -64,14 +51,7 @@ def singular_values(
     harmonics_hz: Sequence[float] = (),
     unit: str = "(m/s²)²/Hz",
 ) -> tuple[Figure, str]:
-    """SVG: singular values of the operating spectra with modes and harmonics marked.
-
-    Parameters
-    ----------
-    frequencies_hz : (k,) array
-    values : (n_curves, k) array
-        Positive, the greatest first.
-    """
+    """SVG: singular values of the operating spectra (n_curves, lines), the greatest first, with modes and harmonics marked."""
     figure = new_figure(10.2, 3.6)
     axes = plot_singular_values(
         frequencies_hz, values, figure.add_axes((0.067, 0.13, 0.918, 0.72)), band=band, modes_hz=modes_hz, harmonics_hz=harmonics_hz,

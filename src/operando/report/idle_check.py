@@ -13,23 +13,13 @@ TITLE = "Idle model against the validation measurement"
 
 @dataclass(frozen=True)
 class IdlePeak:
-    """One mode of the idle model beside the peak of the validation measurement that the comparison has for it.
+    """One mode of the idle model beside the peak of the validation measurement that the comparison has for it."""
 
-    Parameters
-    ----------
-    idle : int or None
-        Number of the idle mode; None for a peak that no idle mode makes.
-    frequency_hz, frequency_std_hz, damping_ratio : float or None
-        Of the peak in the validation measurement; None where the comparison has none.
-    percent : float or None
-        Its frequency against the idle mode's.
-    """
-
-    idle: int | None
-    frequency_hz: float | None = None
+    idle: int | None  # number of the idle mode; None for a peak that no idle mode makes
+    frequency_hz: float | None = None  # this and the next two: of the measured peak; None where the comparison has none
     frequency_std_hz: float | None = None
     damping_ratio: float | None = None
-    percent: float | None = None
+    percent: float | None = None  # its frequency against the idle mode's
 
 
 def idle_against_check(results: Results) -> bool:

@@ -145,12 +145,7 @@ def render_page(
 ) -> str:
     """HTML text of a page of numbered sections with their contents beside them.
 
-    Parameters
-    ----------
-    window, title, kicker, meta : str
-        Plain texts: of the window, the heading, the lines above and below it.
-    block : mapping, optional
-        Lines of the title block.
+    The plain texts are of the window, the heading, and the lines above and below it; ``block`` holds the lines of the title block.
     """
     from operando import __version__
 

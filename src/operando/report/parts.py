@@ -52,17 +52,7 @@ class Numbering:
 
 
 def render(template: str, page: Numbering | None = None, room: str = "report", /, **values: Any) -> Markup:
-    """HTML of one template; every value in it that is no ``Markup`` is shown as text.
-
-    Parameters
-    ----------
-    template : str
-        File in ``templates/`` of the room, or of the report.
-    page : Numbering, optional
-        Counts the figures.
-    **values
-        What the template names.
-    """
+    """HTML of a template of a room, or of the report; every value in it that is no ``Markup`` is shown as text."""
     return without_blank_lines(environment(room).get_template(template).render(page=page or Numbering(), **values))
 
 

@@ -49,15 +49,7 @@ class Drawing(Markup):
 
     @classmethod
     def of(cls, figure: Figure, alt: str, csv: str | None = None) -> Drawing:
-        """Draw a figure.
-
-        Parameters
-        ----------
-        alt : str
-            Text alternative.
-        csv : str, optional
-            The numbers; default: those of its axes.
-        """
+        """Draw a figure; its CSV holds the numbers of its axes where none is given."""
         made = cls(to_svg(figure, alt))
         made.csv = figure_csv(figure) if csv is None else csv
         return made
@@ -84,17 +76,9 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def to_svg(figure: Figure, alt: str) -> str:
-    """SVG element for inline use.
+    """SVG element for inline use, with a text for readers who do not see it.
 
-    Parameters
-    ----------
-    alt : str
-        Text alternative for readers who do not see it.
-
-    Returns
-    -------
-    str
-        ``<svg …>…</svg>`` whose ids are unique to this content, with coordinates of 0.01 pt, without links and metadata.
+    Its ids are unique to this content; coordinates have 0.01 pt; there are no links and no metadata.
     """
     from matplotlib import rc_context
 

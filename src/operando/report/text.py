@@ -56,12 +56,7 @@ def decibel(value: Any) -> str:
 def plus_minus(value: Any, std: Any, digits: int = 5, factor: float = 1.0) -> str:
     """Value ± its 95 % interval, as effects are written: the interval with one digit, the value to the same digit.
 
-    Parameters
-    ----------
-    value, std : float or None
-        Without a deviation the value stands alone with ``digits`` significant digits.
-    factor : float
-        Multiplies both (100 for per cent).
+    Without a deviation the value stands alone with ``digits`` significant digits. Both are multiplied by ``factor`` (100 for per cent).
     """
     if not finite(value):
         return DASH

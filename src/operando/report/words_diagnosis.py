@@ -37,36 +37,16 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class EffectWords:
-    """One effect for people.
+    """One effect for people."""
 
-    Parameters
-    ----------
-    name : str
-        The kind in words: "point mass".
-    place : str
-        Empty where it has none.
-    size : str
-        Values with 95 % intervals.
-    sentence : str
-        What it does, with place and size.
-    confirm : str
-        The test that would confirm it.
-    group : str
-        ``structure``, ``idle``, ``sensor``, ``force`` or ``excitation``.
-    removed : bool
-        Whether it was taken away.
-    sure : bool
-        Whether its 95 % interval leaves zero out.
-    """
-
-    name: str
-    place: str
-    size: str
-    sentence: str
-    confirm: str
-    group: str = "structure"
-    removed: bool = False
-    sure: bool = True
+    name: str  # the kind in words: "point mass"
+    place: str  # empty where it has none
+    size: str  # values with 95 % intervals
+    sentence: str  # what it does, with place and size
+    confirm: str  # the test that would confirm it
+    group: str = "structure"  # ``structure``, ``idle``, ``sensor``, ``force`` or ``excitation``
+    removed: bool = False  # whether it was taken away
+    sure: bool = True  # whether its 95 % interval leaves zero out
 
     @property
     def label(self) -> str:
@@ -87,25 +67,13 @@ class StepError:
 
 @dataclass(frozen=True)
 class ErrorByStep:
-    """The steps of the error.
-
-    Parameters
-    ----------
-    decibel : bool
-        Level errors, else chi-squares (1 is the noise).
-    on_hold_out : bool
-        Whether they were computed on data that nothing was fitted to.
-    floor : float or None
-        What noise and the model's own uncertainty explain, in the same measure.
-    by_phase : bool
-        Whether chi-squares stand because levels hardly change.
-    """
+    """The steps of the error."""
 
     rows: tuple[StepError, ...] = ()
-    decibel: bool = True
-    on_hold_out: bool = True
-    floor: float | None = None
-    by_phase: bool = False
+    decibel: bool = True  # level errors, else chi-squares (1 is the noise)
+    on_hold_out: bool = True  # whether they were computed on data that nothing was fitted to
+    floor: float | None = None  # what noise and the model's own uncertainty explain, in the same measure
+    by_phase: bool = False  # whether chi-squares stand because levels hardly change
 
     @property
     def shown_floor(self) -> float | None:
@@ -119,34 +87,18 @@ class ErrorByStep:
 
 @dataclass(frozen=True)
 class DiagnosisWords:
-    """The answer of a diagnosis.
+    """The answer of a diagnosis."""
 
-    Parameters
-    ----------
-    verdict, title, grade : str
-        As in the document (``changed_by_hand`` where the effects are not the diagnosis' own); what it means; colour class.
-    found : tuple of str
-        One sentence an effect in the model.
-    sentences : tuple of str
-        How far the idle model is off without and with them, and what they cannot be distinguished from.
-    decide : tuple of str
-        The measurement that would decide or confirm.
-    output_only : bool
-        Whether operational modes alone were used.
-    on_records : bool
-        Whether records of force were used.
-    """
-
-    verdict: str
-    title: str
-    grade: str
-    found: tuple[str, ...]
-    sentences: tuple[str, ...]
-    decide: tuple[str, ...]
+    verdict: str  # as in the document; ``changed_by_hand`` where the effects are not the diagnosis' own
+    title: str  # what it means
+    grade: str  # colour class
+    found: tuple[str, ...]  # one sentence an effect in the model
+    sentences: tuple[str, ...]  # how far the idle model is off without and with them, and what they cannot be distinguished from
+    decide: tuple[str, ...]  # the measurement that would decide or confirm
     ladder: ErrorByStep
     effects: tuple[EffectWords, ...] = ()
-    output_only: bool = False
-    on_records: bool = False
+    output_only: bool = False  # whether operational modes alone were used
+    on_records: bool = False  # whether records of force were used
 
 
 def kind_words(kind: Any) -> str:

@@ -40,17 +40,7 @@ def _list(texts: Sequence[str]) -> str:
 
 
 def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, notes: Sequence[str], band: Band | None) -> str:
-    """The test file.
-
-    Parameters
-    ----------
-    folder, base : Path
-        Where the measurements lie, and where the test file will.
-    notes : sequence of str
-        Comments at its head.
-    band : Band or None
-        Proposal for the analysis band.
-    """
+    """The test file of measurements in ``folder`` that will lie in ``base``, with notes as comments at its head and a proposed band."""
     lines = [f"name = {quoted(folder.resolve().name)}"]
     titles = {
         "idle": "at rest, force measured",

@@ -220,15 +220,7 @@ class Draft:
         return gone
 
     def save(self) -> None:
-        """Write the changes: valid, beside the file, then renamed.
-
-        Raises
-        ------
-        ConfigError
-            If the file was changed meanwhile, or would not be valid.
-        WriteError
-            If it cannot be written.
-        """
+        """Write the changes: valid, on the text they were made for, beside the file, then renamed."""
         if not self.edits:
             return
         if self.changed_on_disk():

@@ -29,22 +29,9 @@ Table = Mapping[str, Any]
 
 
 def take(results: Results, table: Table, state: str, hz: float) -> tuple[Edit, str]:
-    """What takes a pole as a mode beside the automatic ones.
+    """What takes a pole near a frequency [Hz] as a mode beside the automatic ones, and that in words.
 
-    Parameters
-    ----------
-    table : mapping
-        [analysis] of the test file, with changes.
-    state : {"idle", "operating"}
-    hz : float
-        Frequency chosen [Hz].
-
-    Raises
-    ------
-    ConfigError
-        If there is no stable pole near, or it is a mode already.
-    MissingError
-        If there are no modes yet.
+    ``table`` is [analysis] of the test file with its changes.
     """
     model, keys = model_of(results, state), STATES[state]
     poles = stable_poles(results, state)

@@ -40,13 +40,8 @@ def _end_with_stdin() -> None:
 def done(task: dict[str, Any], progress: Callable[[str, str], None]) -> dict[str, Any]:
     """What came of a task: ``{"words": [...]}``, or ``{"error": ...}`` as in ``operando/error/1``.
 
-    Parameters
-    ----------
-    task : dict
-        ``do`` is run, add, candidate, suggested or remove; ``folder``; ``test`` with ``changes`` (its own kinds of effects are imported),
-        and what each needs.
-    progress : callable
-        Called with (stage, message).
+    The task holds ``do`` (run, add, candidate, suggested or remove), ``folder``, ``test`` with ``changes`` (its own kinds of effects are
+    imported), and what each needs.
     """
     from operando.errors import OperandoError
 

@@ -10,15 +10,7 @@ from operando.pipeline.stages.work import Lacking
 
 
 def scaled(idle: ModalModel, findings: Sequence[Finding], what: str) -> None:
-    """Nothing, where the idle modes are of unit modal mass in SI.
-
-    Raises
-    ------
-    Lacking
-        If the data never had what gives the scale.
-    IdentificationError
-        If a fault of the measurement hides it.
-    """
+    """Ask for unit modal mass in SI: Lacking where the data never had it, IdentificationError where a fault of the measurement hides it."""
     from operando.scaling.no_scale import no_scale
 
     cause = no_scale(idle, findings)

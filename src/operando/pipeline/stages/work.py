@@ -34,33 +34,15 @@ class Work:
 
 @dataclass(frozen=True)
 class Stage:
-    """A step of the pipeline.
+    """A step of the pipeline."""
 
-    Parameters
-    ----------
-    name : str
-        Name in the cache.
-    part_of : str
-        Stage of the specification it belongs to.
-    does : callable
-        ``Work`` → fields of ``Results`` it fills (and ``findings``, those of the stage itself).
-    upstream : tuple of str
-        Stages whose results it uses.
-    settings : tuple of str
-        Names in [analysis] that decide the result.
-    states : tuple of str
-        States whose files it reads.
-    wanted : callable
-        ``Test`` → whether it is asked for at all; what is not is not left out either.
-    """
-
-    name: str
-    part_of: str
-    does: Callable[[Work], dict[str, Any]]
-    upstream: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
-    states: tuple[str, ...] = ()
-    wanted: Callable[[Test], bool] = field(default=lambda test: True)
+    name: str  # name in the cache
+    part_of: str  # stage of the specification it belongs to
+    does: Callable[[Work], dict[str, Any]]  # ``Work`` → fields of ``Results`` it fills, and ``findings`` of the stage itself
+    upstream: tuple[str, ...] = ()  # stages whose results it uses
+    settings: tuple[str, ...] = ()  # names in [analysis] that decide the result
+    states: tuple[str, ...] = ()  # states whose files it reads
+    wanted: Callable[[Test], bool] = field(default=lambda test: True)  # whether it is asked for at all; else it is not left out either
 
     def lacks(self, test: Test) -> str | None:
         """Why the step is left out, or None."""
