@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+from matplotlib.markers import MarkerStyle
 
 import measurements
 import operando
@@ -13,6 +16,7 @@ from operando.quality import SHOWN_CHANNELS, overview
 from operando.quality.overview import PLACES
 from operando.report import render_report
 from operando.report.figures_raw import raw_hits, raw_records
+from operando.report.renderer import LONG_PATH
 
 RATE = 1000.0
 
@@ -83,3 +87,12 @@ def test_of_many_records_the_first_are_shown(tmp_path, monkeypatch):
         "operating",
         "check",
     ]
+
+
+def test_curves_have_tenths_of_a_point_and_marks_hundredths():
+    paths = re.findall(r' d="([^"]*)"', raw_records([overview(noise(), "operating")]))
+    points = lambda d: len(re.findall(r"[-\d.]+", d)) // 2  # noqa: E731
+    digits = {points(d) >= LONG_PATH: max(map(len, re.findall(r"\.(\d+)", d)), default=0) for d in sorted(paths, key=points)}
+    assert digits[True] == 1
+    straight = [MarkerStyle(mark).get_path() for mark in MarkerStyle.filled_markers if mark not in (".", "o")]
+    assert max(len(path.vertices) for path in straight) < LONG_PATH, "no mark of straight sides counts as a curve"
