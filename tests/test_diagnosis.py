@@ -32,6 +32,7 @@ from operando.diagnosis.criteria import (
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
 from operando.diagnosis.forward import Point
+from operando.diagnosis.found import Found
 from operando.diagnosis.hypotheses import _ALSO, Hypotheses, first_effects
 from operando.diagnosis.idle import RESIDUAL_DAMPING, Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
@@ -45,7 +46,6 @@ from operando.diagnosis.search import (
     MOST_SETTLED,
     RIVALS,
     WAYS,
-    Found,
     Search,
     Start,
     leaders,
@@ -615,6 +615,17 @@ def test_two_days_are_not_taken_for_one_set_up():
     found = Hypotheses(*both).run()
     assert found.odds < -100
     assert found.best.case.lines is both[0].lines  # that case, with the spreads that it teaches
+
+
+def test_candidates_have_the_misfit_that_they_leave():
+    """Of the lines that they were chosen by, under one discrepancy: noise where the mass is, more where a spring stands for it."""
+    one = case(add_mass)
+    starts = ((), (Term("point_mass", (1,), (float(np.log(0.4)),)),), (Term("ground_spring", (1,), (6.0,)),))
+    empty, right, wrong = (fit(one, started(one, terms)) for terms in starts)
+    found, other = candidate_rows(Found(right, empty, {state.key: state for state in (empty, right, wrong)}))
+    assert (found["kind"], other["kind"]) == ("point_mass", "ground_spring")
+    assert found["selection_misfit"] < 1.1
+    assert other["selection_misfit"] > 10 * found["selection_misfit"]
 
 
 def test_nothing_missing_says_what_would_have_been_seen():

@@ -187,7 +187,10 @@ def odds_text(nats: float) -> str:
 
 
 def candidate_rows(found: Found) -> list[dict[str, Any]]:
-    """Effects that were tried, best first: those of the best state, with the odds against doing without, then the others."""
+    """Effects that were tried, best first: those of the best state, with the odds against doing without, then the others.
+
+    ``selection_misfit`` is the reduced chi-square on the lines that they were chosen by, under noise and the discrepancy of the best state.
+    """
     best, out, seen = found.best, [], set()
     nats: float | None
     for state in [best, *sorted(found.pool.values(), key=lambda s: -score(s))]:
@@ -206,7 +209,8 @@ def candidate_rows(found: Found) -> list[dict[str, Any]]:
                 evidence = f"{odds_text(-nats)} against it"
             evidence += " with what is found beside it" if len(state.terms) > 1 else ""
             evidence += "" if state is best else _special_case(term, best)
-            out.append(effect.to_dict() | {"selection_misfit": None, "evidence": evidence, "log_odds": nats})
+            left = left_on(state.case, state.x, best.alpha, state.case.lines.fit)[0]
+            out.append(effect.to_dict() | {"selection_misfit": left, "evidence": evidence, "log_odds": nats})
     return out
 
 
