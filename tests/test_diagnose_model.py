@@ -398,7 +398,7 @@ def test_models_refuse_what_they_cannot_hold():
     with pytest.raises(DataError, match="unit modal mass"):
         Model(replace(idle, scaling="unscaled"))
     with pytest.raises(DataError, match="quantity"):
-        Model(idle).frf(HZ, quantity="compliance")
+        Model(idle).frf(HZ, quantity="dynamic stiffness")
     with pytest.raises(DataError, match="geometry"):
         Model(idle).add("ground_spring@0.1,0,0:+Z")
     with pytest.raises(DataError, match="covariance"):

@@ -240,7 +240,7 @@ def test_without_a_band_both_states_use_that_of_the_idle_modes(again, monkeypatc
     path, out = again
     seen = []
 
-    def see(records, *, band=None):
+    def see(records, *, band=None, **settings):
         seen.append(band)
         raise IdentificationError("enough seen")
 
