@@ -66,13 +66,7 @@ def failed(before: float, after: float) -> bool:
 
 
 def refuse_failed(effect: Effect, before: float, after: float) -> None:
-    """The refit with an effect must come as near to the fitted lines as that without it.
-
-    Raises
-    ------
-    IdentificationError
-        If it does not.
-    """
+    """The refit with an effect must come as near to the fitted lines as that without it."""
     if failed(before, after):
         raise IdentificationError(
             f"the refit failed: with {effect.kind} it leaves a reduced chi-square of {after:.4g} of the lines fitted, "

@@ -22,20 +22,8 @@ UNKNOWN_UNITS = (
 def validation_runs(check: Frf | CheckRun | Sequence[Frf | CheckRun]) -> list[CheckRun]:
     """FRFs of the running structure as validation runs, by the names of their files.
 
-    Parameters
-    ----------
-    check : Frf, CheckRun, or several
-        A :class:`operando.CheckRun` states name and level; an :class:`operando.Frf` is called by its own name, else ``check``, and all
-        of them are of one level.
-
-    Returns
-    -------
-    list of CheckRun
-
-    Raises
-    ------
-    ObjectError
-        If it is something else.
+    A :class:`operando.CheckRun` states name and level; an :class:`operando.Frf` is called by its own name, else ``check``, and all of them
+    are of one level.
     """
     hint = "give the FRFs that were measured while it runs, or CheckRun(name, level, frf) to name them and their level"
     given = several(check, (CheckRun, Frf), "check takes validation measurements", hint)
@@ -47,13 +35,7 @@ def validation_runs(check: Frf | CheckRun | Sequence[Frf | CheckRun]) -> list[Ch
 
 
 def kinds_asked(kinds: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    """Kinds of effects by name, one alone as a list of one.
-
-    Raises
-    ------
-    ConfigError
-        If one is no kind; it names the nearest.
-    """
+    """Kinds of effects by name, one alone as a list of one."""
     if kinds is None:
         return None
     names = tuple(several(kinds, str, "kinds of effects have names", "operando.catalogue() lists them"))
@@ -63,24 +45,12 @@ def kinds_asked(kinds: str | Sequence[str] | None) -> tuple[str, ...] | None:
 
 
 def places_asked(idle: ModalModel, places: Any) -> list[int] | None:
-    """Rows of the idle model of the locations asked for.
-
-    Raises
-    ------
-    DofError
-        If one is no DOF of the idle model; it names the nearest.
-    """
+    """Rows of the idle model of the locations asked for."""
     return None if places is None else match_dofs(parse_dofs(places), idle.dofs)[0]
 
 
 def band_asked(band: Any, frf: Frf) -> tuple[float, float] | None:
-    """Limits of a band [Hz] in which the FRFs have lines.
-
-    Raises
-    ------
-    DataError
-        If it is no band, or the FRFs have too few lines there.
-    """
+    """Limits of a band [Hz] in which the FRFs have lines."""
     if band is None:
         return None
     low, high = positive_band(band)

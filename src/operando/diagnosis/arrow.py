@@ -24,13 +24,8 @@ def _syrk(rows: Array) -> Array:
 class Information:
     """JᵀJ of rows that fall into blocks, without the prior.
 
-    Parameters
-    ----------
-    shared : (s, s) array
-        Of the unknowns that all blocks share; lower triangle.
-    across : (blocks, k, s) array
-    own : (blocks, k, k) array
-        Of the unknowns that one block has for itself.
+    ``shared`` (s, s) is of the unknowns that all blocks share, its lower triangle; ``own`` (blocks, k, k) of those that one block has for
+    itself; ``across`` (blocks, k, s) between both.
     """
 
     shared: Array
@@ -58,13 +53,7 @@ class Factor:
 
     @classmethod
     def of(cls, information: Information, shared: Array, own: Array) -> Factor:
-        """With the precisions of the prior, (s,) and (blocks, k).
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is not finite or not positive definite.
-        """
+        """With the precisions of the prior, (s,) and (blocks, k); ``LinAlgError`` if the matrix is not finite or positive definite."""
         k = own.shape[1]
         # sums of squares: where these are finite, all is
         if not (np.isfinite(np.diagonal(information.shared)).all() and np.isfinite(np.diagonal(information.own, axis1=1, axis2=2)).all()):

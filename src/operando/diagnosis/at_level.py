@@ -90,11 +90,6 @@ class LevelModel:
         """From a results folder; linear effects as the diagnosis left them, channel faults left out.
 
         ``changes`` are (step, parameter, value): a state that was not measured.
-
-        Raises
-        ------
-        MissingError
-            If there is no diagnosis.
         """
         if results.diagnosis is None or results.idle is None:
             raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
@@ -132,12 +127,8 @@ def _of(
 class FollowingModel:
     """The idle model with level-dependent effects, to be compared at the force of each measurement.
 
-    Parameters
-    ----------
-    standing : Model
-        With their equivalents at the lowest level measured: where no force is known, or no steady motion belongs to it.
-    at_level : LevelModel
-        With the effects themselves.
+    ``at_level`` has the effects themselves, ``standing`` their equivalents at the lowest level measured: for where no force is known, or no
+    steady motion belongs to it.
     """
 
     standing: Model
@@ -187,16 +178,8 @@ def level_picture(
 ) -> dict[str, Any]:
     """FRFs of the model at the levels measured [N rms] and at twice the highest, and what was measured, for one pair of DOFs.
 
-    Returns
-    -------
-    dict
-        ``response``, ``reference``, ``frequencies_hz``, ``curves`` [{force_n, measured (bool), magnitude}], ``runs`` [{name, level,
-        unit, level_name, frequencies_hz, magnitude}]; accelerances [(m/s²)/N]. Empty without a level-dependent effect or an FRF.
-
-    Raises
-    ------
-    DataError
-        If no steady motion is found at a level.
+    ``response``, ``reference``, ``frequencies_hz``, ``curves`` [{force_n, measured (bool), magnitude}], ``runs`` [{name, level, unit,
+    level_name, frequencies_hz, magnitude}]; accelerances [(m/s²)/N]. Empty without a level-dependent effect or an FRF.
     """
     varying = [e for e in effects if e.definition.level_dependent]
     if not varying or not check or not levels:

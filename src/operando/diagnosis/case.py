@@ -34,16 +34,8 @@ COLUMNS = 24
 class AsItIs:
     """What was looked for about the idle model as it is: the same whatever the spreads.
 
-    Attributes
-    ----------
-    robust : list of (float, Term, bool)
-        Rows of the robust scan.
-    grown : list of Idle
-        With a mode more.
-    no_mode : list of (Idle, float)
-        With a mode that reached no score, and that score.
-    no_location : float
-        Score that no location between sensors reached.
+    ``robust`` are rows of the robust scan, ``grown`` models with a mode more. ``no_mode`` are models with a mode that reached no score, and
+    that score; ``no_location`` is the score that no location between sensors reached.
     """
 
     robust: list[tuple[float, Term, bool]] = field(default_factory=list)
@@ -55,32 +47,11 @@ class AsItIs:
 class Case:
     """What a search works on.
 
-    Parameters
-    ----------
-    idle : Idle
-    frf : Frf
-        Of the check; DOFs that the idle model does not have are left out.
-    band : (float, float)
-        Hz.
-    spreads : dict, optional
-        Standard deviations of what differs between the days; empty for FRFs of the same day.
-    number : int
-        Lines to fit.
-    kinds : sequence of str
-        Kinds of effects looked for.
-    places : sequence of int, optional
-        DOFs where effects may be; default all.
-    correlated : float, optional
-        Neighbouring lines over which the noise is alike; default from the check itself.
-    between : bool
-        Whether lines validate that lie between those that are fitted.
-    like : Case, optional
-        The same check and model with other spreads: lines, told directions of the model, and sizes of effects are taken over.
-
-    Raises
-    ------
-    DofError
-        If the check and the idle model have no response or no reference in common.
+    DOFs of the FRFs that the idle model does not have are left out. The band is in Hz. ``spreads`` are standard deviations of what differs
+    between the days, empty for FRFs of the same day; ``number`` is how many lines to fit; ``places`` are the DOFs where effects may be
+    (default all). The noise is alike over ``correlated`` neighbouring lines (default from the check itself); ``between`` says whether lines
+    validate that lie between those that are fitted. From a case ``like`` this one with other spreads, lines, told directions of the model,
+    and sizes of effects are taken over.
     """
 
     lines: Lines

@@ -111,12 +111,6 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     """Idle model moved by what the check taught of it, with stiffness and damping of that day, and the effects.
 
     Gains of channels and places of sensors stay out: they are no structure. So does what ties modes by stiffness from day to day.
-
-    Parameters
-    ----------
-    idle : ModalModel
-    state : State
-    geometry : Geometry, optional
     """
     case, forward, x = state.case, state.case.forward, state.x
     moved, between = forward.idle, forward.between

@@ -22,21 +22,10 @@ _LAWS = ("", "_slope", "_corner", "_late")
 
 @dataclass
 class Moved:
-    """An idle model at a point.
+    """An idle model at a point: poles (terms,) [Hz, ratio], shapes ``phi`` (DOFs, terms) and how these move from there.
 
-    Attributes
-    ----------
-    f, zeta : (terms,) arrays
-        Hz, ratio.
-    by_f, by_zeta : (terms, g) arrays
-        How g moves them.
-    phi : (DOFs, terms) array
-    shapes : Moves
-        How they move from there.
-    root, more : float
-        Factors on all frequencies and on all damping.
-    whole : float
-        Relative change of the stiffness of the whole.
+    ``by_f`` and ``by_zeta`` (terms, g) say how g moves the poles; ``root`` and ``more`` are factors on all frequencies and on all damping,
+    ``whole`` is the relative change of the stiffness of the whole.
     """
 
     f: Array
@@ -59,12 +48,8 @@ class Moved:
 class FirstOrder:
     """Terms that are linear in the change δ of their shape b: they add k (b bᵀ + b δᵀ + δ bᵀ) = k ((b + δ) bᵀ + b δᵀ).
 
-    Parameters
-    ----------
-    terms : (l,) int array
-    base, shapes : (DOFs, l) arrays
-        b and b + δ; both are the shape as it is at places between sensors, where no products were measured.
-    k : (lines, l) array
+    ``base`` and ``shapes`` (DOFs, l) are b and b + δ of the ``terms`` (l,); both are the shape as it is at places between sensors, where no
+    products were measured. ``k`` is (lines, l).
     """
 
     terms: Array
@@ -132,11 +117,6 @@ class Derivatives:
 
     A change of pole r moves an FRF by ψ_r k_r (…) of two factors, and so do changes of shapes; what depends on the lines are only these
     products, some five for each mode. They are brought to rows once, and each unknown is a real combination of them.
-
-    Parameters
-    ----------
-    parts : Parts
-    rows : Rows
     """
 
     def __init__(self, parts: Parts, rows: Rows) -> None:
@@ -151,10 +131,7 @@ class Derivatives:
     def all(self) -> tuple[Array, Array]:
         """By what reaches all channels, and by the unknowns of the response's own DOF (zero where these reach all channels).
 
-        Returns
-        -------
-        (responses, references, rows, 2, n) and (responses, references, rows, 2, k) arrays
-            Real and imaginary parts side by side.
+        (responses, references, rows, 2, n) and (responses, references, rows, 2, k), real and imaginary parts side by side.
         """
         p = self.of
         self._made()

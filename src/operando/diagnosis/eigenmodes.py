@@ -28,15 +28,8 @@ _NEAR = 1.3  # terms up to so many times beyond the band are scanned as modes
 class Solved:
     """Those modes of a system that are paired with measured ones.
 
-    Attributes
-    ----------
-    s : (k,) complex array [rad/s]
-    q : (k, terms) complex array
-        In modal coordinates.
-    shown : (k, responses) complex array
-        Displacements at the sensors.
-    numbers : list of int arrays
-        For each set of measured modes, which of these modes each is.
+    Poles ``s`` (k,) [rad/s], modal coordinates ``q`` (k, terms), displacements at the sensors ``shown`` (k, responses); ``numbers`` says
+    for each set of measured modes which of these modes each is.
     """
 
     s: Array
@@ -50,10 +43,6 @@ class Eigenmodes(Forward):
     """The model of operational modes: poles and shapes that solve T(s) q = 0 over the terms of the idle model (:class:`System`).
 
     Nothing is driven, so what is told of forces and driven points stays out.
-
-    Parameters
-    ----------
-    observed : OperatingModes
     """
 
     observed: OperatingModes
@@ -160,14 +149,8 @@ class Eigenmodes(Forward):
     ) -> Array:
         """Derivatives of the values (values of all sets, n) by unknowns p.
 
-        Parameters
-        ----------
-        sides : (k, terms, n) array
-            ∂T/∂p q.
-        shown : (k, DOFs, n) array, optional
-            ∂x/∂p of the displacements of all DOFs, with s and q held; none where p moves nothing there.
-        gains : (measured modes, DOFs, n) array
-            ∂ ln of what a channel makes of its motion.
+        ``sides`` (k, terms, n) are ∂T/∂p q; ``shown`` (k, DOFs, n) ∂x/∂p of the displacements of all DOFs, with s and q held, None where p
+        moves nothing there; ``gains`` (measured modes, DOFs, n) ∂ ln of what a channel makes of its motion.
         """
         s, q, count = solved.s, solved.q, sides.shape[2]
         right = np.concatenate([-sides, np.zeros((s.size, 1, count))], 1)
@@ -210,17 +193,9 @@ class Eigenmodes(Forward):
 class Near:
     """What a state is made of in and near the band, and as far as that goes.
 
-    Attributes
-    ----------
-    matrices : tuple of (n, n) arrays
-        M, C, K over the terms there, then over what resonates inside effects.
-    phi : (DOFs, terms) array
-    shown : (responses, terms) array
-        What sensors show of them.
-    rest : (2, DOFs, DOFs) complex array
-        Receptance of the other terms at the ends of the band.
-    bare : (values, 1) array
-        Values of the measured modes without an effect more.
+    ``matrices`` are M, C, K (n, n) over the terms there, then over what resonates inside effects; ``phi`` (DOFs, terms), and what sensors
+    show of them ``shown`` (responses, terms). ``rest`` (2, DOFs, DOFs) is the receptance of the other terms at the ends of the band,
+    ``bare`` (values, 1) the values of the measured modes without an effect more.
     """
 
     matrices: tuple[Array, ...]
@@ -232,16 +207,10 @@ class Near:
 
 @dataclass(frozen=True)
 class Trial:
-    """An effect more about a state.
+    """An effect more about a state: M, C, K (n, n) with it, and its law.
 
-    Attributes
-    ----------
-    matrices : tuple of (n, n) arrays
-        M, C, K with it.
-    law : callable
-        Its dynamic stiffness (k, places, places) at s, with what lies outside the band.
-    beyond : callable, optional
-        What it has beyond M, C and K; the poles follow to first order.
+    ``law`` is its dynamic stiffness (k, places, places) at s, with what lies outside the band; ``beyond`` what it has beyond M, C and K:
+    the poles follow that to first order.
     """
 
     matrices: tuple[Array, ...]
@@ -253,11 +222,7 @@ class Trial:
 class ScannableModes:
     """A state to which effects are added one at a time: values of the measured modes, and what each effect makes of them.
 
-    Attributes
-    ----------
-    h : (values, 1, 1) array
-    columns : None
-        Of FRFs there are none.
+    ``h`` is (values, 1, 1); there are no ``columns``, which FRFs have.
     """
 
     forward: Eigenmodes

@@ -25,20 +25,8 @@ _STEP = 1e-5  # of s, for derivatives by s: error of second order, 1e-10
 class System:
     """T(s) = diag(ω² + 2ζωs + s²) + what ties modes + Φᵀ W(s) Φ at a point, with W = (Z⁻¹ + R)⁻¹ at the places of the effects.
 
-    Attributes
-    ----------
-    forward : Forward
-    x : Point
-    moved : Moved
-    lag : (DOFs, terms) array [s]
-    lags : Moves
-    seen : (DOFs, terms) array
-        What sensors show of a mode beside its shape.
-    stiffness_tie, damping_tie : (pairs,) arrays
-        Between two modes.
-    here : list of int
-        DOFs that effects touch.
-    outside : list of Outside
+    ``lag`` (DOFs, terms) is in s; ``seen`` (DOFs, terms) what sensors show of a mode beside its shape; ``stiffness_tie`` and
+    ``damping_tie`` (pairs,) are between two modes; ``here`` are the DOFs that effects touch.
     """
 
     forward: Forward
@@ -140,10 +128,7 @@ class System:
     def refined(self, s: Array, q: Array) -> tuple[Array, Array]:
         """Poles and modal coordinates of unit norm, by Newton's method.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If it does not end, or two start values lead to one mode.
+        ``LinAlgError`` if it does not end, or two start values lead to one mode.
         """
         q = q / np.linalg.norm(q, axis=1)[:, None]
         for _ in range(_TURNS):
@@ -199,13 +184,7 @@ def polynomial(z: Array, w: Array) -> tuple[Array, Array, Array]:
 
 
 def eigenmodes(mass: Array, damping: Array, stiffness: Array) -> tuple[Array, Array]:
-    """All poles (…, 2n) and modal coordinates (…, 2n, n) of M, C, K (…, n, n).
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a mass is not positive.
-    """
+    """All poles (…, 2n) and modal coordinates (…, 2n, n) of M, C, K (…, n, n); ``LinAlgError`` if a mass is not positive."""
     np.linalg.cholesky(mass)
     n = mass.shape[-1]
     # time in units of 1/ω keeps both halves of the state of one size

@@ -28,17 +28,8 @@ Again = Callable[[Idle], Sequence[Case]]
 def search_between_sensors(found: Found, again: Again, geometry: Geometry | None, say: Say, count: int) -> Found:
     """The same search with locations between sensors, where it explains more; else what was found.
 
-    Parameters
-    ----------
-    found : Found
-        What the sensors came to.
-    again : callable
-        The same lines with another idle model: on another day and with nothing touched, or as the test states it.
-    geometry : Geometry, optional
-        Positions of the sensors; without it there is nothing between them.
-    say : callable
-    count : int
-        Effects to look for, one after the other; none where it is 0.
+    ``again`` gives the same lines with another idle model: on another day and with nothing touched, or as the test states it. At most
+    ``count`` effects are looked for, one after the other. Without a geometry there is nothing between the sensors.
     """
     known, odds = found.empty.case.uncompressed, found.odds
     wider = None if geometry is None or not count or known.midway else with_midway(known, geometry)
@@ -66,14 +57,8 @@ def search_between_sensors(found: Found, again: Again, geometry: Geometry | None
 def search_lacking_mode(found: Found, empty: State, again: Again, say: Say) -> Found:
     """The search with a mode that the idle model lacks, where it explains more than what was found; else that.
 
-    Parameters
-    ----------
-    found : Found
-    empty : State
-        Without effects: what the idle model leaves as it is, and as the check moved it; where days differ, peaks aside leave most.
-    again : callable
-        As for :func:`search_between_sensors`.
-    say : callable
+    ``empty`` is what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most. ``again`` is as
+    for :func:`search_between_sensors`.
     """
     own_spreads = bool(found.best.case.between.log_factors.any())
     for grown in grown_by_a_mode([replace(empty, x=empty.case.forward.start), empty]):

@@ -20,16 +20,6 @@ def farther_off(state: State) -> str | None:
 
     Both models are told on the day of the validation measurement, with all that was found to differ from the idle one: gains,
     positions of sensors, temperature and damping move FRFs by decibels and are no reason to doubt an effect.
-
-    Parameters
-    ----------
-    state : State
-        With effects.
-
-    Returns
-    -------
-    str or None
-        The sentence.
     """
     case, x = state.case, state.x
     own = x.own.copy()

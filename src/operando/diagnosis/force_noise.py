@@ -36,10 +36,8 @@ def common_variance(state: State) -> Array:
 def moved_by_force_noise(state: State) -> tuple[Array, Array]:
     """Standard deviations by which such errors move the unknowns of a state without effects, in the units of its posterior.
 
-    Returns
-    -------
-    (g, n) and (DOFs, k, n) arrays
-        Columns of unit variance: a sandwich covariance (White, Econometrica 50, 1982, 1–25) has their products beside the posterior's own.
+    (g, n) and (DOFs, k, n), columns of unit variance: a sandwich covariance (White, Econometrica 50, 1982, 1–25) has their products beside
+    the posterior's own.
     """
     problem, forward, lines = state.problem, state.case.forward, state.case.lines
     packed, weights = problem.packed(state.x), problem.weights(state.alpha)

@@ -23,17 +23,8 @@ Array = NDArray[Any]
 class Point:
     """Unknowns in units of their prior standard deviations, and effects.
 
-    Parameters
-    ----------
-    g : (g,) array
-        Of the idle model, shared by all DOFs.
-    d : (d,) array
-        Between the days, shared by all channels.
-    own : (DOFs, k) array
-        Of each DOF: its shape, then its channel.
-    u : (u,) array
-        What lies outside the band at the places of the effects: see :meth:`Forward.outside`.
-    terms : tuple of Term
+    ``g`` is of the idle model, shared by all DOFs; ``d`` between the days, shared by all channels; ``own`` (DOFs, k) of each DOF: its
+    shape, then its channel; ``u`` what lies outside the band at the places of the effects (:meth:`Forward.outside`).
     """
 
     g: Array
@@ -47,12 +38,8 @@ class Point:
 class Prediction:
     """FRFs (lines, responses, references) and their derivatives.
 
-    Attributes
-    ----------
-    shared : (lines, responses, references, n) array
-        By g, d, u, the effects' values, and the unknowns of touched or driven DOFs that reach all channels.
-    own : (lines, responses, references, k) array
-        By the unknowns of the response's own DOF; zero for those that stand in ``shared``.
+    ``shared`` (lines, responses, references, n) by g, d, u, the effects' values, and the unknowns of touched or driven DOFs that reach all
+    channels; ``own`` (lines, responses, references, k) by the unknowns of the response's own DOF, zero for those that stand in ``shared``.
     """
 
     h: Array
@@ -77,17 +64,7 @@ class Scannable:
 
 @dataclass
 class Forward:
-    """The model of one check.
-
-    Parameters
-    ----------
-    idle : Idle
-    between : Between
-    responses, references : int arrays
-        DOFs of the rows and columns.
-    band : (float, float)
-        Hz.
-    """
+    """The model of one check: ``responses`` and ``references`` are the DOFs of rows and columns; the band is in Hz."""
 
     idle: Idle
     between: Between

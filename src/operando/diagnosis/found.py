@@ -13,19 +13,10 @@ Key = tuple[tuple[str, tuple[int, ...]], ...]
 class Found:
     """What a search ends with.
 
-    Attributes
-    ----------
-    best, empty : State
-        The most probable state, and the one without effects.
-    pool : dict
-        All fitted states, by kinds and places.
-    unnamed : State, optional
-        With what explains the lines where nothing else does, and is no effect of the catalogue at a location: a force law of no kind, or
-        one on motions that no sensor shows.
-    as_well : list of State
-        What may stand in the place of the best, where evidence does not tell them apart.
-    odds : float, optional
-        Log odds that nothing was touched between the measurements, where both hypotheses were tried.
+    ``best`` is the most probable state, ``empty`` the one without effects; ``pool`` are all fitted states, by kinds and places. ``unnamed``
+    has what explains the lines where nothing else does, and is no effect of the catalogue at a location: a force law of no kind, or one on
+    motions that no sensor shows. ``as_well`` may stand in the place of the best, where evidence does not tell them apart; ``odds`` are log
+    odds that nothing was touched between the measurements, where both hypotheses were tried.
     """
 
     best: State

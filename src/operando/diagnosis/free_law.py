@@ -32,12 +32,7 @@ _ROUGH = 0.03  # discrepancy that a fit begins with
 def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> State | None:
     """The best state with a smooth dynamic stiffness at one location, or between two; None where none explains the lines.
 
-    Parameters
-    ----------
-    case : Case
-    floor : float
-        Log evidence of a state that it has to come near to; no higher one is tried again where it did not.
-    say : callable
+    ``floor`` is the log evidence of a state that it has to come near to; no higher one is tried again where it did not.
     """
 
     if floor >= case.law_in_vain:

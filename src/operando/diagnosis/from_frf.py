@@ -316,13 +316,7 @@ def chosen_run(check: Sequence[CheckRun]) -> CheckRun:
 
 
 def searched(kinds: Sequence[str] | None, poor: bool = False) -> tuple[str, ...]:
-    """Kinds to look for; where none are named and the idle model is a poor one, those at one location.
-
-    Raises
-    ------
-    ConfigError
-        If none of those named can be found from FRFs.
-    """
+    """Kinds to look for; where none are named and the idle model is a poor one, those at one location."""
     from operando.structure.effects import kind_of
 
     if kinds is None:

@@ -111,13 +111,7 @@ def diagnose_modes(
 
 
 def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:
-    """Kinds to look for.
-
-    Raises
-    ------
-    ConfigError
-        If none of those named can be told from modes.
-    """
+    """Those of the kinds asked for that operational modes tell; all that they tell where no kind is asked for."""
     asked = kinds_asked(kinds)
     known = tuple(k for k in TOLD_BY_MODES if asked is None or k in asked)
     if not known:

@@ -40,13 +40,9 @@ def need_records(effects: Sequence[Effect], data: Sequence[str] = ()) -> bool:
 def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | None:
     """Why the running structure may not be linear, or None.
 
-    Parameters
-    ----------
-    check : sequence of CheckRun
-        Runs of different level that disagree carry a finding ``nonlinear``.
-    idle_frf : Frf, optional
-        What its responses leave unexplained at rest is noise; what is beyond it in operation is distortion. A stiffness that changes
-        with the sign of the motion shows only there: it scales with the level.
+    Runs of different level that disagree carry a finding ``nonlinear``. What the responses of ``idle_frf`` leave unexplained at rest is
+    noise; what is beyond it in operation is distortion. A stiffness that changes with the sign of the motion shows only there: it scales
+    with the level.
     """
     if levels_disagree(check):
         return "runs of different level disagree"
@@ -187,13 +183,7 @@ def with_levels(
 
 
 def standing(document: Mapping[str, Any]) -> list[Effect]:
-    """The effects of ``diagnosis.json`` as a linear model knows them: of a level-dependent one its equivalent at the lowest level.
-
-    Raises
-    ------
-    MissingError
-        If the document holds no equivalent of a level-dependent effect, as of one added by hand.
-    """
+    """The effects of ``diagnosis.json`` as a linear model knows them: of a level-dependent one its equivalent at the lowest level."""
     out: list[Effect] = []
     for stated in document.get("effects") or []:
         effect = Effect.from_dict(stated)

@@ -43,23 +43,10 @@ class Hypotheses:
     The first is a special case of the second: where it leaves nothing but noise, the second is not searched. A location between sensors and
     a mode that the idle model lacks spare the search of days where they explain the validation measurement.
 
-    Parameters
-    ----------
-    days, one_set_up : Case
-        The lines, on another day and with nothing touched.
-    say : callable
-        Told each step.
-    at_rest : float
-        Discrepancy of the idle FRFs.
-    again : callable, optional
-        The same lines with another idle model, on another day and with nothing touched; without it (kinds or locations were asked for by
-        name) sensors alone are searched.
-    depth : int
-        Effects to look for at sensors, one after the other.
-    geometry : Geometry, optional
-        Positions of the sensors; without it there is nothing between them.
-    suggested : callable
-        Effects that something else suggests: begun with where what was searched from the lines alone does not explain these.
+    ``at_rest`` is the discrepancy of the idle FRFs. ``again`` gives the same lines with another idle model, on another day and with nothing
+    touched; without it (kinds or locations were asked for by name) sensors alone are searched, and without a geometry there is nothing
+    between them. At most ``depth`` effects are looked for at sensors, one after the other. ``suggested`` makes effects that something else
+    suggests: begun with where what was searched from the lines alone does not explain these.
     """
 
     def __init__(

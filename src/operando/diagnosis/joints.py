@@ -23,14 +23,8 @@ def no_more_than_days(case: Case, term: Term, d: NDArray[Any] | None = None) -> 
     What days take back of the damping of a mode is no change of it: where a damper is undone mode by mode it stands for damping that
     ties modes to each other, of which days differ by more now and then than a normal law has it.
 
-    Parameters
-    ----------
-    case : Case
-        Of two days; where nothing was touched no effect is one.
-    term : Term
-        At first order in what it adds to each mode of the idle model.
-    d : array, optional
-        Differences between the days that were found beside it (:class:`~operando.diagnosis.forward.Point`).
+    Where nothing was touched no effect is one. The effect is taken at first order in what it adds to each mode of the idle model; ``d`` are
+    the differences between the days that were found beside it (:class:`~operando.diagnosis.forward.Point`).
     """
     spreads, idle = case.between.spreads, case.idle
     if not (term.structural and term.definition.symmetric and spreads.get("damping_local") and spreads.get("mode")):

@@ -24,19 +24,8 @@ _WIDE = 2.0  # standard deviation of its shape, over the rms of what is seen: no
 def with_lacking(state: State, hz: float | None = None) -> Idle | None:
     """The idle model with one more mode, at the pole whose free residues take most from what a state leaves; None where none takes any.
 
-    Of operational modes the one that is farthest from what stands for it.
-
-    Parameters
-    ----------
-    state : State
-        Without such a mode.
-    hz : float, optional
-        Look within 5 % of it only.
-
-    Returns
-    -------
-    Idle
-        Its last mode is there only with its effect, ``lacking_term``.
+    Of operational modes the one that is farthest from what stands for it. With ``hz`` it is looked for within 5 % of that only. The last
+    mode of the model that is returned is there only with its effect, ``lacking_term``.
     """
     case, forward = state.case, state.case.forward
     if isinstance(case, ModesCase):

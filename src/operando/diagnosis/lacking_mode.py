@@ -44,18 +44,9 @@ def with_mode(
 ) -> Found | None:
     """States of an idle model with the mode that it lacks, where one lifts the score above a bar.
 
-    Parameters
-    ----------
-    grown : Idle
-        With a mode more, ``lacking``.
-    again : callable
-        The same check with another idle model.
-    bar : float
-    say : callable
-    untouched : bool
-        Whether it has to be one where nothing was touched, plainly more probable than another day.
-    own_spreads : bool
-        Whether the bar is of a state whose spreads were estimated: then it is reached with these estimated, too.
+    ``grown`` is a model with a mode more, ``lacking``; ``again`` gives the same check with another idle model. ``untouched`` asks for a
+    state where nothing was touched, plainly more probable than another day. ``own_spreads`` says that the bar is of a state whose spreads
+    were estimated: then it is reached with these estimated, too.
     """
     say(f"a mode missing in the idle model, near {grown.f[grown.lacking]:.4g} Hz:")
     cases = again(grown)

@@ -31,35 +31,14 @@ class Lines:
     do. Blocks end at the peaks, so that one flank of each is fitted: a mode that no line tells could be moved at will. Or lines in between
     validate, so that both flanks are.
 
-    Parameters
-    ----------
-    frf : Frf
-        Receptance; rows in the order of the model's DOFs.
-    f, zeta : (modes,) arrays
-        Hz, ratio.
-    number : int
-        Lines to fit.
-    correlated : float, optional
-        Neighbouring lines over which the noise is alike; default from the FRFs (:func:`alike_lines`).
-    between : bool
-        Whether lines in between validate.
+    The FRFs are receptances, rows in the order of the model's DOFs; poles are ``f`` and ``zeta`` (modes,) [Hz, ratio]; ``number`` is how
+    many lines to fit. The noise is alike over ``correlated`` neighbouring lines, default from the FRFs (:func:`alike_lines`); ``between``
+    says whether lines in between validate. At least ``BLOCKS`` lines must be finite.
 
-    Attributes
-    ----------
-    fit, validation : int arrays
-        Numbers of the lines of each set.
-    there : (responses, references) bool array
-        Pairs that were measured.
-    noise_stated : bool
-        Whether the FRFs bring a variance; else it is that of :func:`~operando.ema.pairs.noise_shape`, by which neighbouring lines differ.
-    w : (lines,) array [rad/s]
-    h, variance, level : (lines, responses, references) arrays
-        FRFs, their variance, and their rms over ±1 % of frequency: a share of it does not vanish at antiresonances.
-
-    Raises
-    ------
-    DataError
-        If fewer than ``BLOCKS`` lines are finite.
+    ``fit`` and ``validation`` are the numbers of the lines of each set; ``there`` (responses, references) says which pairs were measured;
+    ``noise_stated`` whether the FRFs bring a variance: else it is that of :func:`~operando.ema.pairs.noise_shape`, by which neighbouring
+    lines differ. ``w`` (lines,) is in rad/s; ``h``, ``variance`` and ``level`` (lines, responses, references) are FRFs, their variance, and
+    their rms over ±1 % of frequency: a share of it does not vanish at antiresonances.
     """
 
     frequencies = 40  # trial ones of an absorber
@@ -141,9 +120,7 @@ class Lines:
         The noise of neighbouring lines is alike, as the estimate makes it. The discrepancy α multiplies an FRF by something smooth: it
         changes as fast as the FRF does, over half the distance to the nearest pole and no faster than its half-power width.
 
-        Returns
-        -------
-        (responses, references, combinations, lines) and (responses, references, combinations) arrays
+        The combinations are (responses, references, combinations, lines), λ (responses, references, combinations).
         """
         key = tuple(at)
         if key not in self._bases:

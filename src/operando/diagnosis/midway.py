@@ -27,21 +27,11 @@ _OFF_MIDDLE = 1 / np.sqrt(48)  # of the way between two sensors: uniformly anywh
 
 @dataclass(frozen=True)
 class Midway:
-    """A place half-way between two sensors of one axis.
+    """A place [m] half-way between two sensors of one axis, the DOFs ``ends``.
 
-    Parameters
-    ----------
-    position : (float, float, float)
-        [m].
-    axis : str
-    ends : (int, int)
-        DOFs of the two sensors.
-    weights : (DOFs,) array
-        What the sensors suggest for its displacement along the axis.
-    doubt : (DOFs,) array
-        Weights of another suggestion; their difference tells what either is worth.
-    along : (DOFs,) array
-        What the weights change by where the place is so far from the middle as it may be, in one standard deviation.
+    ``weights`` (DOFs,) are what the sensors suggest for its displacement along the axis; ``doubt`` (DOFs,) those of another suggestion:
+    their difference tells what either is worth. ``along`` (DOFs,) is what the weights change by where the place is so far from the middle
+    as it may be, in one standard deviation.
     """
 
     position: tuple[float, float, float]
@@ -97,10 +87,7 @@ def _on_line(points: Array, a: int, b: int) -> list[int]:
 def at_position(dofs: tuple[Dof, ...], geometry: Geometry, position: tuple[float, float, float], direction: str) -> Midway:
     """Any place without a sensor: what all sensors of its axis suggest, against the nearer two of them.
 
-    Raises
-    ------
-    DofError
-        If fewer than two sensors measure that axis.
+    At least two sensors must measure that axis.
     """
     wanted = Dof.parse(f"0{direction}")
     known = {i: geometry.position(d.node) for i, d in enumerate(dofs) if d.axis == wanted.axis}
@@ -123,14 +110,8 @@ def at_position(dofs: tuple[Dof, ...], geometry: Geometry, position: tuple[float
 def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None = None) -> Idle | None:
     """The idle model with places between sensors as further DOFs (``midway``: where these are); None where there are none.
 
-    What is not known of a shape there is its own, as of any DOF: by how much the suggestions of its neighbours may err.
-
-    Parameters
-    ----------
-    idle : Idle
-    geometry : Geometry
-    places : sequence of Midway, optional
-        Default: half-way between all neighbours.
+    What is not known of a shape there is its own, as of any DOF: by how much the suggestions of its neighbours may err. Places are by
+    default half-way between all neighbours.
     """
     places = midway(idle.dofs, geometry) if places is None else places
     if not places:

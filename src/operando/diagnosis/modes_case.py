@@ -22,22 +22,7 @@ TOLD_BY_MODES = tuple(kind for kind in SEARCHED if kind_of(kind).group == "struc
 
 
 class ModesCase(Case):
-    """What a search in operational modes works on.
-
-    Parameters
-    ----------
-    idle : Idle
-    lines : OperatingModes
-    band : (float, float)
-        Hz.
-    spreads : dict, optional
-        Standard deviations of what differs between the days.
-    kinds : sequence of str
-    places : sequence of int, optional
-        DOFs where effects may be; default all.
-    like : Case, optional
-        The same modes and model with other spreads.
-    """
+    """What a search in operational modes works on; arguments are as for :class:`Case`, the band in Hz."""
 
     lines: OperatingModes  # type: ignore[assignment]
     forward: Eigenmodes

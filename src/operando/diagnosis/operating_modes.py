@@ -30,16 +30,9 @@ class ModeSet:
 
     A shape has no scale: of its 2 m real numbers the two along y and iy say nothing, and ``across`` leaves them out.
 
-    Attributes
-    ----------
-    f, zeta : (n,) arrays
-        Hz, ratio.
-    shapes : (m, n) complex array
-        Of unit norm.
-    across : (n, 2 m, 2 m − 2) array
-        Orthonormal, perpendicular to y and iy as real numbers.
-    noise : (n (2 m), n (2 m)) array
-        Covariance of [ln f, ln ζ, shape across] mode by mode.
+    Of n modes at m DOFs ``f`` and ``zeta`` (n,) [Hz, ratio], and ``shapes`` (m, n) of unit norm; ``across`` (n, 2 m, 2 m − 2) is
+    orthonormal, perpendicular to y and iy as real numbers; ``noise`` (n (2 m), n (2 m)) is the covariance of [ln f, ln ζ, shape across]
+    mode by mode.
     """
 
     f: Array
@@ -106,10 +99,7 @@ class ModeSet:
     def pairs(self, f: Array, shapes: Array) -> Array:
         """Which of some predicted modes each one is, by frequency and MAC: one each, so that their sum costs least.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If fewer modes are predicted than measured, or some that cannot be.
+        ``LinAlgError`` if fewer modes are predicted than measured, or some that cannot be.
         """
         if f.size < self.n:
             raise np.linalg.LinAlgError("fewer modes than were measured")
@@ -141,28 +131,9 @@ class OperatingModes:
     The modes of the whole record are fitted. Where both halves were identified apart the second one validates: it is predicted from
     the first. Where there are no halves, one value of each mode in turn (its frequency, damping or shape) is predicted from the others.
 
-    Parameters
-    ----------
-    idle : Idle
-    whole : ModalModel
-    halves : sequence of ModalModel
-        Two or none.
-
-    Attributes
-    ----------
-    sets : list of ModeSet
-        Of the whole, and of both halves.
-    fit, known, validation : int arrays
-        Numbers of values that are fitted, of those from which others are predicted, and of the latter.
-    apart : bool
-        Whether the validation values are a record of their own.
-    responses : int array
-        DOFs of the idle model that were measured.
-
-    Raises
-    ------
-    DataError
-        If fewer than two DOFs or no mode in band is common to both states.
+    ``sets`` are of the whole, and of both halves where there are two. ``fit``, ``known`` and ``validation`` are numbers of values that are
+    fitted, of those from which others are predicted, and of the latter; ``apart`` says whether the validation values are a record of their
+    own. ``responses`` are the DOFs of the idle model that were measured. Two DOFs and a mode in band must be common to both states.
     """
 
     stride = rough = 1  # every value counts in a scan
@@ -238,11 +209,9 @@ class OperatingModes:
 def mode_set(model: ModalModel, common: tuple[Dof, ...], signs: Array, top: float, blocks: int = 0) -> ModeSet:
     """Modes below ``top`` [Hz] on some DOFs, ``signs`` of the idle model over these.
 
-    Parameters
-    ----------
-    blocks : int
-        Of the record, from whose scatter its covariance was estimated; 0 where that is not known. The inverse of a covariance of p
-        values from N blocks is (N − 1)/(N − p − 2) times too large on average (Hartlap et al., Astron. Astrophys. 464, 2007, 399–404).
+    ``blocks`` is how many of the record its covariance was estimated from, by their scatter; 0 where that is not known. The inverse of a
+    covariance of p values from N blocks is (N − 1)/(N − p − 2) times too large on average (Hartlap et al., Astron. Astrophys. 464, 2007,
+    399–404).
     """
     inside = np.asarray(model.in_band) & (model.frequencies_hz < top) & (model.damping_ratios > 0) & (model.frequencies_hz > 0)
     kept = model.select_modes(inside)
@@ -321,10 +290,7 @@ def in_turn(modes: ModeSet) -> Array:
 def partners(half: ModalModel, whole: ModalModel) -> Array:
     """Modes of half a record that the whole shows, too, one each: the others are spurious, and no effect would explain them.
 
-    Parameters
-    ----------
-    half, whole : ModalModel
-        On the same DOFs.
+    Both are on the same DOFs.
     """
     if tuple(half.dofs) != tuple(whole.dofs):
         return np.ones(half.n_modes, bool)

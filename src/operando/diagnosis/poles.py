@@ -29,11 +29,6 @@ def with_straight_poles(idle: Idle) -> Idle:
     and ties, on which it stands still at first order, it moves by many of its standard deviations, always to the same side. The
     diagonals of the modal matrices turn with g by as much as holds the poles (Bates & Watts, J. R. Stat. Soc. B 42, 1980, 1–25:
     curvature of parameters).
-
-    Parameters
-    ----------
-    idle : Idle
-        As a fit left it.
     """
     if not idle.between_root.any():
         return idle

@@ -37,17 +37,8 @@ def with_what_is_left(frf: Frf, rest: State) -> Frf:
     coherence knows of it, and between the peaks it may be as large as the FRF. Its median over a stretch leaves the peaks out, where the
     error is a share of the FRF: that is the discrepancy.
 
-    Parameters
-    ----------
-    frf : Frf
-        Of the idle or of the operating measurement.
-    rest : State
-        The idle model on the idle FRFs.
-
-    Returns
-    -------
-    Frf
-        Receptance. Pairs that were not measured idle have the median of those that were.
+    ``frf`` is of the idle or of the operating measurement, ``rest`` the idle model on the idle FRFs. The FRFs returned are receptances;
+    pairs that were not measured idle have the median of those that were.
     """
     case, frf = rest.case, frf.to_quantity("receptance")
     hz, h, _, _ = case.lines.every
@@ -78,11 +69,7 @@ def one_effect(cases: Sequence[Case], say: Say) -> Found:
     same effect as the fit, for which it may adapt: fitted to a spring of 100 kN/m on the plate clamped again, the adapted model has a mass
     of 22 g removed.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-        Another day, and that nothing was touched; one where the test states what differs.
-    say : callable
+    The cases are another day, and that nothing was touched; one where the test states what differs.
     """
     day, case = cases[0], cases[-1]
     search, start = Search(case, say), case.forward.start

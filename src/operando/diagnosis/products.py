@@ -41,10 +41,7 @@ def laid(value: Array, b: list[int], size: int) -> Array:
 class Rows:
     """How values of all pairs on the lines become independent rows: combinations of lines, or each line by a weight.
 
-    Parameters
-    ----------
-    basis : (responses, references, rows, lines) array, optional
-    weights : (lines, responses, references) array, optional
+    ``basis`` is (responses, references, rows, lines), ``weights`` (lines, responses, references).
     """
 
     def __init__(self, basis: Array | None = None, weights: Array | None = None) -> None:

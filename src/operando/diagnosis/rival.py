@@ -63,13 +63,7 @@ def fitted_if_can_be(case: Case, x: Point, alpha: float, **how: Any) -> State | 
 
 
 class Rival:
-    """Another hypothesis of the same lines, more general than the one searched: what it scores with the same effects.
-
-    Attributes
-    ----------
-    score : float
-        The best so far.
-    """
+    """Another hypothesis of the same lines, more general than the one searched: the best ``score`` so far with the same effects."""
 
     def __init__(self, case: Case, state: State) -> None:
         self.case, self.score = case, score(state)

@@ -115,15 +115,7 @@ def robust_cost(case: Case, x: Point) -> float:
 
 
 def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> list[tuple[float, Term, bool]]:
-    """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places.
-
-    Parameters
-    ----------
-    case : Case
-    x : Point
-    places : sequence of Term, optional
-        Kinds at places; default all.
-    """
+    """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places."""
     at, forward = case.lines.fit[:: case.lines.rough], case.forward
     w, measured = case.lines.w[at], case.lines.h[at]
     state = forward.scannable(x, w)
@@ -271,12 +263,7 @@ class LinearScan:
 
         By the slopes of both about the state with the effect: without it all unknowns would be far from where they belong.
 
-        Returns
-        -------
-        list of Candidate
-            By what each takes over.
-        float
-            What the effect itself is worth, at first order [nats].
+        Candidates are by what each takes over; the number is what the effect itself is worth, at first order [nats].
         """
         r = self._of(term)
         rq = self.whitened(r)

@@ -44,14 +44,6 @@ def of_a_sensor(state: State, idle: ModalModel, operating: ModalModel | None, ge
     The check was measured with every sensor in place; the operational modes tell the structure without what was there in the check
     alone. A mass whose removal brings the predicted frequencies to the operational ones is a sensor's. One operational mode is not
     enough: it may err, and the mass with it.
-
-    Parameters
-    ----------
-    state : State
-    idle : ModalModel
-    operating : ModalModel or None
-        Operational modes.
-    geometry : Geometry or None
     """
     if operating is None or operating.n_modes < 2:
         return state

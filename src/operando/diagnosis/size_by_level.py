@@ -28,13 +28,8 @@ _LINES = 300  # of an estimate that can be made at any
 class SizeByLevel:
     """How an effect's size changes from the lowest to the highest level.
 
-    Attributes
-    ----------
-    effect : Effect
-    levels : (float, float)
-        Least and largest rms force of the two [N].
-    change, std : float
-        Of the size, over the size; its standard deviation.
+    ``levels`` are the least and largest rms force of the two [N]; ``change`` is that of the size, over the size; ``std`` its standard
+    deviation.
     """
 
     effect: Effect
@@ -63,24 +58,7 @@ def sizes_by_level(model: Model, records: Sequence[TimeRecord], band: tuple[floa
     standard deviations that it is there: so its size is fitted to the FRFs of each level at first order, beside gains of the forces.
     What the model misses at both levels alike falls out of the difference.
 
-    Parameters
-    ----------
-    model : Model
-        With the effects found.
-    records : sequence of TimeRecord
-        Of the running structure, with forces.
-    band : (float, float), optional
-        Hz.
-
-    Returns
-    -------
-    list of SizeByLevel
-        Empty with records of one level or without effects of a size.
-
-    Raises
-    ------
-    OperandoError
-        If the records of one level alone give no FRFs.
+    The records are of the running structure, with forces; the band is in Hz. Empty with records of one level or without effects of a size.
     """
     groups = level_groups([r for r in records if r.force_indices])
     sized = [k for k, e in enumerate(model.effects) if e.definition.group in ("structure", "idle") and _size(e)]

@@ -64,16 +64,8 @@ def _between(state: State) -> list[int]:
 def at_likely_size(state: State, number: int) -> State:
     """A state at the mean size of an effect by its evidence with the size held, all else integrated out.
 
-    Parameters
-    ----------
-    state : State
-    number : int
-        Of the effect among its terms.
-
-    Returns
-    -------
-    State
-        With the size held at its mean, its standard deviation, and the evidence integrated over it.
+    The size is held at its mean, with its standard deviation, and the evidence is integrated over it. ``number`` is that of the effect
+    among the terms of the state.
     """
     case, term = state.case, state.terms[number]
     mean, std = (float(v[0]) for v in case.prior(term))

@@ -29,12 +29,8 @@ def in_blocks(count: int, each: int) -> list[slice]:
 class Slopes:
     """Derivatives of rows by unknowns that all responses share, (responses, rows, n), and by each response's own, (responses, rows, k).
 
-    Parameters
-    ----------
-    make : callable
-        Gives blocks of all responses in their order: which they are, and both kinds of derivatives.
-    values : int
-        Of all blocks together.
+    ``make`` gives blocks of all responses in their order: which they are, and both kinds of derivatives; ``values`` is how many numbers all
+    blocks have together.
     """
 
     def __init__(self, make: Callable[[], Iterable[Block]], values: int = 0) -> None:

@@ -18,13 +18,9 @@ _LEAST_CURVATURE = 4.0  # of the evidence by the logarithm of a spread: a step i
 
 
 def covariance(problem: Problem, factor: Factor) -> tuple[Array, Array, Array]:
-    """Posterior covariance of d and of the own unknowns of each DOF, in units of their priors; where each of them stands in it.
+    """Posterior covariance (n, n) of d and of the own unknowns of each DOF, in units of their priors; where each of them stands in it.
 
-    Returns
-    -------
-    (n, n) array
-    (d,) and (DOFs, k) arrays
-        Rows of ``d`` and of the own unknowns.
+    The rows of ``d`` are (d,), those of the own unknowns (DOFs, k).
     """
     forward = problem.forward
     root = factor.root()

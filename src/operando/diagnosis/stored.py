@@ -16,20 +16,7 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
 
     An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
 
-    Parameters
-    ----------
-    results : Results
-    changes : sequence of (int, str, float), optional
-        Step of the steps, parameter and another value of it [SI]: a state that was not measured.
-
-    Raises
-    ------
-    MissingError
-        If there is no diagnosis, or it holds no equivalent of an effect that depends on the level.
-    ConfigError
-        If there is no such step or parameter.
-    DataError
-        If the idle model has no scale, or the covariance is that of other effects.
+    ``changes`` are (step, parameter, another value of it in SI units): a state that was not measured.
     """
     base = results.effect_idle or results.idle
     if results.diagnosis is None or base is None:

@@ -33,19 +33,8 @@ def suggested_by_modes(
 ) -> list[Term]:
     """Effects that would shift the modes as operation does, at first order; the best first.
 
-    Parameters
-    ----------
-    idle : Idle
-    operating : ModalModel
-        Operational modes.
-    band : (float, float)
-        Hz.
-    kinds : sequence of str
-        Looked for; those that modes do not tell are left out.
-    places : sequence of int, optional
-        DOFs where effects may be; default all.
-    say : callable
-        Told why there are none.
+    The band is in Hz. Kinds that modes do not tell are left out; ``places`` are DOFs where effects may be (default all). ``say`` is told
+    why there are none.
     """
     inside = (operating.frequencies_hz >= band[0]) & (operating.frequencies_hz <= band[1])
     asked = [kind for kind in TOLD_BY_MODES if kind in kinds]

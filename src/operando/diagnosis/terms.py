@@ -70,18 +70,10 @@ _STEP = 1e-5  # of a value on its search scale, for derivatives of a law: error 
 class Term:
     """An effect at places of the idle model.
 
-    Parameters
-    ----------
-    kind : str
-    places : tuple of int
-        Numbers of DOFs; a mass has all of its node.
-    values : tuple of float
-        On the search scale: the logarithm of the first value (of 1 + change for all damping, of the gain for a sensor), a delay as
-        it is, the others on their scale in the catalogue.
-    sign : {1, -1}
-        −1: the opposite of the kind, or a negative size; of a free law between two it acts on their sum.
-    fixed : tuple of int
-        Numbers of values that no fit moves.
+    ``places`` are numbers of DOFs; a mass has all of its node. ``values`` are on the search scale: the logarithm of the first value (for
+    all damping of 1 + change, for a sensor of the gain), a delay as it is, the others on their scale in the catalogue. ``sign`` is 1, or −1
+    for the opposite of the kind, or a negative size; of a free law between two it acts on their sum. ``fixed`` are numbers of values that
+    no fit moves.
     """
 
     kind: str
@@ -268,11 +260,8 @@ def _proportional(kind: str) -> bool:
 def changes(columns: Array, h: Array, terms: Sequence[Term], w: Array, band: tuple[float, float]) -> tuple[Array, Array]:
     """What some structural terms of one kind and place change in FRFs h (lines, DOFs, references): patterns, and their factors.
 
-    Sherman–Morrison–Woodbury, given all columns of the structure (lines, DOFs, DOFs); along one coordinate by a division.
-
-    Returns
-    -------
-    (lines, DOFs, references, p) and (lines, p, n) arrays
+    Sherman–Morrison–Woodbury, given all columns of the structure (lines, DOFs, DOFs); along one coordinate by a division. Patterns are
+    (lines, DOFs, references, p), factors (lines, p, n).
     """
     return changes_by(columns, h, terms[0], added_by_each(terms, w, band))
 

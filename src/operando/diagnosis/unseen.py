@@ -135,15 +135,8 @@ class LowRank:
 def with_unseen_motion(case: Case, again: Callable[[Idle], Sequence[Case]], floor: float, say: Say = lambda text: None) -> State | None:
     """The best state with one law on motions that no sensor shows; None where none explains the lines.
 
-    Parameters
-    ----------
-    case : Case
-        Where nothing was touched.
-    again : callable
-        The same check with another idle model; the last case is the one where nothing was touched.
-    floor : float
-        Log evidence of a state that it has to come near to.
-    say : callable
+    In ``case`` nothing was touched. ``again`` gives the same check with another idle model; its last case is the one where nothing was
+    touched. ``floor`` is the log evidence of a state that it has to come near to.
     """
     if not case.idle.modes.size:
         return None

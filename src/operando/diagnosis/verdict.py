@@ -48,17 +48,8 @@ _MOVED = (
 class Verdict:
     """A verdict with its ground.
 
-    Attributes
-    ----------
-    name : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
-    why : str
-        Empty where nothing stands in the way.
-    terms : tuple of Term
-        Supported effects.
-    rivals : list of State
-        States that may stand in the place of the best.
-    least : dict
-        Smallest size of each kind at each place that would have been found in 95 % of tests like this one, SI units.
+    ``why`` is empty where nothing stands in the way; ``terms`` are supported effects; ``rivals`` may stand in the place of the best.
+    ``least`` is the smallest size of each kind at each place that would have been found in 95 % of tests like this one [SI units].
     """
 
     name: str
@@ -110,12 +101,7 @@ def seen_at_their_size(state: State, least: Mapping[tuple[str, tuple[int, ...]],
     shapes trade along a bent valley: of each kind the smallest size is held, all else is fitted, and what the likelihood falls by says
     how much larger the sizes of that kind must be.
 
-    Parameters
-    ----------
-    state : State
-        Without effects.
-    least : mapping
-        Of :func:`detectable`.
+    The state is without effects; ``least`` is of :func:`detectable`.
     """
     case = state.case
     of_kind: dict[str, tuple[tuple[str, tuple[int, ...]], float]] = {}
@@ -257,14 +243,7 @@ def misses_idle_frfs(rest: State) -> bool:
 
 
 def verdict(found: Found, rest: State | None) -> Verdict:
-    """The verdict with all that is told with it.
-
-    Parameters
-    ----------
-    found : Found
-    rest : State or None
-        The idle model on the idle FRFs, where there are any.
-    """
+    """The verdict with all that is told with it; ``rest`` is the idle model on the idle FRFs, where there are any."""
     best = found.best
     if found.unnamed is not None:
         text = unseen_text if found.unnamed.case.idle.midway else free_law_text
@@ -280,13 +259,8 @@ def verdict(found: Found, rest: State | None) -> Verdict:
 def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] = ()) -> tuple[str, str]:
     """Name of the verdict and its ground, by the rules of the specification.
 
-    Parameters
-    ----------
-    found : Found
-    rest : State or None
-        The idle model on the idle FRFs, where there are any.
-    blind : sequence of float
-        Modes that could move by a half-power width without being seen: what keeps "no_misfit" from being said.
+    ``rest`` is the idle model on the idle FRFs, where there are any; ``blind`` are modes that could move by a half-power width without
+    being seen: what keeps "no_misfit" from being said.
     """
     best = found.best
     chi, db = on_validation_lines(best)
@@ -334,17 +308,8 @@ def moved_peaks(rows: Sequence[Mapping[str, float | None]], spreads: Mapping[str
 
     Peaks and shapes were fitted to the lines near them alone: that they moved is seen also where the idle model as a whole is a poor one.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        ``by_mode`` of the comparison: each measured peak, with the idle model's of the same shape.
-    spreads : mapping
-        Of what differs between the measurements.
-
-    Returns
-    -------
-    list of (float, float, float or None)
-        Hz, by how much it has moved [%], and the standard deviation of its frequency [Hz].
+    Each is (Hz, by how much it has moved [%], standard deviation of its frequency [Hz]). ``rows`` are ``by_mode`` of the comparison: each
+    measured peak, with the idle model's of the same shape; ``spreads`` are of what differs between the measurements.
     """
     days = UNUSUAL * float(np.hypot(spreads.get("stiffness", 0.0) / 2, spreads.get("mode", 0.0)))
     out = []

@@ -113,13 +113,7 @@ def apply_to_records(
 
 
 def _held(effect: Effect) -> bool:
-    """Whether the values of an effect stand fast.
-
-    Raises
-    ------
-    ConfigError
-        If only some of them do.
-    """
+    """Whether the values of an effect stand fast."""
     names = set(effect.definition.names)
     fixed = names & set(effect.fixed)
     if fixed and fixed != names:

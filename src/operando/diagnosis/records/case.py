@@ -77,13 +77,7 @@ def make_case(
     places: Sequence[Sequence[int]] | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
 ) -> RecordsCase:
-    """Runs, levels and places; lines inside ``exclude_bands`` [Hz] are not used.
-
-    Raises
-    ------
-    MissingError
-        If there is no record.
-    """
+    """Runs, levels and places; lines inside ``exclude_bands`` [Hz] are not used."""
     if not records:
         raise MissingError("no record of the running structure with a measured force")
     modes = Modes.of(idle)

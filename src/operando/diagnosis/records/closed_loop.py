@@ -197,17 +197,9 @@ def recorded(loop: Loop, sampling_hz: float) -> Loop:
 def against_records(case: RecordsCase, accepted: Sequence[Tried]) -> dict[str, Any]:
     """The model with its laws in the closed loop against the validation records (the fitted ones where there is one level).
 
-    Parameters
-    ----------
-    case : RecordsCase
-        As it was before anything was accepted, with the noise found.
-    accepted : sequence of Tried
-
-    Returns
-    -------
-    dict
-        ``gain_db`` (fall of the error against the idle model), ``horizon_s``, ``records`` [{name, force_n, gain_db, ``idle_misfit``,
-        ``misfit``}], ``figure`` {record, dof, time_s, measured, idle, simulated [m/s²]}; empty where the sampling rates differ.
+    The case is as it was before anything was accepted, with the noise found. The dict has ``gain_db`` (fall of the error against the idle
+    model), ``horizon_s``, ``records`` [{name, force_n, gain_db, ``idle_misfit``, ``misfit``}], ``figure`` {record, dof, time_s, measured,
+    idle, simulated [m/s²]}; it is empty where the sampling rates differ.
     """
     picked = list(range(len(case.runs)))[case.hold_out()]
     if len({case.runs[i].sampling_hz for i in (0, *picked)}) > 1:

@@ -45,13 +45,9 @@ def best_linear(run: Run) -> tuple[Complex, Real, Real]:
 def detect(case: RecordsCase) -> dict[str, Any]:
     """What the records say before anything is named.
 
-    Returns
-    -------
-    dict
-        ``levels_n`` force levels [N rms]; ``inhomogeneity``: mean square difference between the best linear approximations of two levels
-        over its variance (1: one linear system); ``distortion`` as of that function; ``coherence`` (mean over responses and lines, lowest
-        and highest level); ``level_dependent``: whether the levels differ; a bilinear stiffness scales with the level and does not show
-        here.
+    ``levels_n`` force levels [N rms]; ``inhomogeneity``: mean square difference between the best linear approximations of two levels over
+    its variance (1: one linear system); ``distortion`` as of that function; ``coherence`` (mean over responses and lines, lowest and
+    highest level); ``level_dependent``: whether the levels differ; a bilinear stiffness scales with the level and does not show here.
     """
     worst, coherences = float("nan"), []
     for runs in case.by_reference():
@@ -77,11 +73,8 @@ def distortion(case: RecordsCase) -> float | None:
     Both levels of one linear structure leave the same share, or less at the higher one, where noise does not grow with the level. A law of
     even order leaves the best linear approximation as it is, and shows here.
 
-    Returns
-    -------
-    float or None
-        Largest over stretches of lines, in the mean over responses (one linear system: 1, with the scatter of noise up to 2);
-        None where there is one level.
+    The largest over stretches of lines, in the mean over responses (one linear system: 1, with the scatter of noise up to 2); None where
+    there is one level.
     """
     largest = []
     for runs in case.by_reference():

@@ -51,17 +51,9 @@ def single_costs(normal: Normal) -> tuple[Real, Real]:
 def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0, rounds: int = 3, near: ForceLaw | None = None) -> ForceLaw | None:
     """Best values of one kind; None where no positive size helps.
 
-    Parameters
-    ----------
-    motions : sequence of Motion
-    kind_name : str
-        A level-dependent kind, or a spring or damper of one or two places.
-    side : float
-        −1 turns the place round.
-    rounds : int
-        Times that the grid over a gap, a knee or a speed is refined.
-    near : ForceLaw, optional
-        The law found before, for a motion that differs little: sought about it first.
+    The kind is a level-dependent one, or a spring or damper of one or two places. ``side`` −1 turns the place round; the grid over a gap, a
+    knee or a speed is refined in so many ``rounds``; ``near`` is the law found before, for a motion that differs little: sought about it
+    first.
     """
     kind = kind_of(kind_name)
     if kind_name == "hysteresis":

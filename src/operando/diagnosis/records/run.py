@@ -105,11 +105,6 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     """Spectra of one record and what the idle model (``modes``: as arrays) leaves of its responses on the lines of a band [Hz].
 
     Velocities and displacements are brought to accelerations by powers of iω.
-
-    Raises
-    ------
-    DataError
-        If there is no force or response that the idle model knows.
     """
     known = {d.key for d in idle.dofs}
     where = record.name or None

@@ -53,12 +53,9 @@ def inner(motion: Motion) -> slice:
 def surface(motions: Sequence[Motion], law: ForceLaw) -> dict[str, Any]:
     """Picture of the restoring force at a place, of the run with the largest motion.
 
-    Returns
-    -------
-    dict
-        ``displacement``, ``velocity``, ``force`` (a cloud of samples), ``binned`` {displacement, force, force_std, law} and
-        ``binned_velocity`` {velocity, …}: force and law brought to the lines that the data decide, so that they can be compared;
-        ``law_samples``: the law as it stands at the samples of the cloud; ``goodness`` and ``parity``: see the functions of these names.
+    ``displacement``, ``velocity``, ``force`` (a cloud of samples), ``binned`` {displacement, force, force_std, law} and ``binned_velocity``
+    {velocity, …}: force and law brought to the lines that the data decide, so that they can be compared; ``law_samples``: the law as it
+    stands at the samples of the cloud; ``goodness`` and ``parity``: see the functions of these names.
     """
     motion = max(motions, key=lambda m: float(np.max(np.abs(m.x))))
     part = inner(motion)
@@ -87,12 +84,7 @@ def parity(x: Real, s: Real) -> dict[str, float]:
     """Shares of the mean square of a force over displacement: ``linear``, ``odd`` beyond it, and ``even``, over where both sides go.
 
     A cubic spring, play and saturation are odd; contacts on one side, bilinear and quadratic springs have an even part, which no change of
-    level need show.
-
-    Parameters
-    ----------
-    x, s : (N,) arrays
-        Displacement from its mean, force.
+    level need show. ``x`` and ``s`` (N,) are the displacement from its mean and the force.
     """
     reach = min(float(np.quantile(x, 0.999)), -float(np.quantile(x, 0.001)))
     if not reach > 0:

@@ -24,14 +24,9 @@ SATURATED = 18.0
 class NonlinearKind(EffectKind):
     """What the level-dependent kinds share: one or two places, a restoring force of motion, words.
 
-    Attributes
-    ----------
-    shape_names : tuple of str
-        Parameters that bend the law; the first parameter scales it (the law is linear in it).
-    odd : bool
-        Whether f(−x, −v) = −f(x, v); else the side is the sign of the DOF.
-    uses_velocity, has_state : bool
-        Whether the force depends on velocity; whether it remembers (hysteresis).
+    ``shape_names`` are the parameters that bend the law; the first parameter scales it (the law is linear in it). ``odd`` says whether
+    f(−x, −v) = −f(x, v): else the side is the sign of the DOF; ``uses_velocity`` whether the force depends on velocity; ``has_state``
+    whether it remembers (hysteresis).
     """
 
     acts = "pseudo_force"
