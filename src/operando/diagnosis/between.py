@@ -115,11 +115,20 @@ def spreads_of(stated: Mapping[str, float]) -> dict[str, float]:
 class Between:
     """The unknowns of one check: which there are, where each lies, and its spread.
 
-    ``shared`` says where the unknowns stand that all channels share, after g, ``own`` those that each DOF has for itself, after its
-    shape's; their spreads are ``shared_spread`` (n,) and ``own_spread`` (DOFs, k). ``sensor_gains`` (DOFs,) and ``force_gains``
-    (references,) are the spread of the gain of each sensor and force over the one stated; ``local_modes`` (modes, DOFs) and ``local_pairs``
-    (pairs, DOFs) what a joint at each DOF changes in the damping of modes, and between them. ``groups`` are unknowns of one spread: name,
-    whether shared, and where; ``log_factors`` (groups,) the logarithms of the spreads over those stated.
+    Attributes
+    ----------
+    shared, own : dict of slices
+        Of the unknowns that all channels share, after g; of those that each DOF has for itself, after its shape's.
+    shared_spread : (n,) array
+    own_spread : (DOFs, k) array
+    sensor_gains, force_gains : (DOFs,) and (references,) arrays
+        Spread of the gain of each sensor and force over the one stated.
+    local_modes, local_pairs : (modes, DOFs) and (pairs, DOFs) arrays
+        What a joint at each DOF changes in the damping of modes, and between them.
+    groups : list
+        Unknowns of one spread: name, whether shared, and where.
+    log_factors : (groups,) array
+        Logarithms of the spreads over those stated.
     """
 
     idle: Idle

@@ -47,11 +47,32 @@ class AsItIs:
 class Case:
     """What a search works on.
 
-    DOFs of the FRFs that the idle model does not have are left out. The band is in Hz. ``spreads`` are standard deviations of what differs
-    between the days, empty for FRFs of the same day; ``number`` is how many lines to fit; ``places`` are the DOFs where effects may be
-    (default all). The noise is alike over ``correlated`` neighbouring lines (default from the check itself); ``between`` says whether lines
-    validate that lie between those that are fitted. From a case ``like`` this one with other spreads, lines, told directions of the model,
-    and sizes of effects are taken over.
+    Parameters
+    ----------
+    idle : Idle
+    frf : Frf
+        Of the check; DOFs that the idle model does not have are left out.
+    band : (float, float)
+        Hz.
+    spreads : dict, optional
+        Standard deviations of what differs between the days; empty for FRFs of the same day.
+    number : int
+        Lines to fit.
+    kinds : sequence of str
+        Kinds of effects looked for.
+    places : sequence of int, optional
+        DOFs where effects may be; default all.
+    correlated : float, optional
+        Neighbouring lines over which the noise is alike; default from the check itself.
+    between : bool
+        Whether lines validate that lie between those that are fitted.
+    like : Case, optional
+        The same check and model with other spreads: lines, told directions of the model, and sizes of effects are taken over.
+
+    Raises
+    ------
+    DofError
+        If the check and the idle model have no response or no reference in common.
     """
 
     lines: Lines

@@ -72,18 +72,35 @@ class Idle:
     what lies outside the band makes its shape φ − iω·lag, exact to first order where those modes only follow; damping between modes
     in band makes them complex by itself.
 
-    Of modes and residual terms ``f`` and ``zeta`` (terms,) [Hz, ratio], ``phi`` (DOFs, terms) of unit modal mass; of modes ``lag`` (DOFs,
-    modes) [s] and ``between`` (pairs of modes,), the damping between two over 2 √(ζ_r ω_r ζ_s ω_s). ``f_root``, ``zeta_root`` and
-    ``between_root`` (terms or pairs, g) say how g of unit variance moves them, ``residual_damping`` (g,) how it moves the logarithm of the
-    damping ratio of terms that are ``assumed``; ``bend`` (2, terms, g, g) how it moves ``f_root`` and ``zeta_root`` themselves: where
-    damping ties modes, a straight way of the poles is a bent one of these (:func:`operando.diagnosis.poles.with_straight_poles`).
-
-    ``driven`` (DOFs,) says which DOFs were driven at rest. ``midway`` has of each DOF between sensors its position [m]; None of a motion
-    that no sensor shows, which has none. ``lacking`` is a mode that the idle model lacks, there only with an effect of that kind.
-
-    ``first_order`` says whether what residual terms add is linear in their changes δ: b bᵀ + b δᵀ + δ bᵀ. Their products were measured and
-    are known well, where the shapes b are not, and the squares of these make a valley that fits crawl along. At places between sensors no
-    product was measured: those are of the shapes as they are.
+    Parameters
+    ----------
+    f, zeta : (terms,) arrays
+        Hz, ratio; of modes and residual terms.
+    phi : (DOFs, terms) array
+        Unit modal mass.
+    residual : (terms,) bool array
+    dofs : tuple of Dof
+    between : (pairs of modes,) array
+        Damping between two modes, over 2 √(ζ_r ω_r ζ_s ω_s).
+    lag : (DOFs, modes) array [s]
+    f_root, zeta_root, between_root : (terms or pairs, g) arrays
+        How g of unit variance moves them.
+    residual_damping : (g,) array
+        How g moves the logarithm of the damping ratio of terms that are ``assumed``.
+    shapes, lags : Moves
+    driven : (DOFs,) bool array
+        Driven at rest.
+    midway : dict
+        DOF between sensors → its position [m]; None of a motion that no sensor shows, which has none.
+    lacking : int, optional
+        A mode that the idle model lacks, there only with an effect of that kind.
+    bend : (2, terms, g, g) array, optional
+        How g moves ``f_root`` and ``zeta_root`` themselves: where damping ties modes, a straight way of the poles is a bent one of these
+        (:func:`operando.diagnosis.poles.with_straight_poles`).
+    first_order : bool
+        Whether what residual terms add is linear in their changes δ: b bᵀ + b δᵀ + δ bᵀ. Their products were measured and are known well,
+        where the shapes b are not, and the squares of these make a valley that fits crawl along. At places between sensors no product was
+        measured: those are of the shapes as they are.
     """
 
     f: Array

@@ -31,14 +31,35 @@ class Lines:
     do. Blocks end at the peaks, so that one flank of each is fitted: a mode that no line tells could be moved at will. Or lines in between
     validate, so that both flanks are.
 
-    The FRFs are receptances, rows in the order of the model's DOFs; poles are ``f`` and ``zeta`` (modes,) [Hz, ratio]; ``number`` is how
-    many lines to fit. The noise is alike over ``correlated`` neighbouring lines, default from the FRFs (:func:`alike_lines`); ``between``
-    says whether lines in between validate. At least ``BLOCKS`` lines must be finite.
+    Parameters
+    ----------
+    frf : Frf
+        Receptance; rows in the order of the model's DOFs.
+    f, zeta : (modes,) arrays
+        Hz, ratio.
+    number : int
+        Lines to fit.
+    correlated : float, optional
+        Neighbouring lines over which the noise is alike; default from the FRFs (:func:`alike_lines`).
+    between : bool
+        Whether lines in between validate.
 
-    ``fit`` and ``validation`` are the numbers of the lines of each set; ``there`` (responses, references) says which pairs were measured;
-    ``noise_stated`` whether the FRFs bring a variance: else it is that of :func:`~operando.ema.pairs.noise_shape`, by which neighbouring
-    lines differ. ``w`` (lines,) is in rad/s; ``h``, ``variance`` and ``level`` (lines, responses, references) are FRFs, their variance, and
-    their rms over ±1 % of frequency: a share of it does not vanish at antiresonances.
+    Attributes
+    ----------
+    fit, validation : int arrays
+        Numbers of the lines of each set.
+    there : (responses, references) bool array
+        Pairs that were measured.
+    noise_stated : bool
+        Whether the FRFs bring a variance; else it is that of :func:`~operando.ema.pairs.noise_shape`, by which neighbouring lines differ.
+    w : (lines,) array [rad/s]
+    h, variance, level : (lines, responses, references) arrays
+        FRFs, their variance, and their rms over ±1 % of frequency: a share of it does not vanish at antiresonances.
+
+    Raises
+    ------
+    DataError
+        If fewer than ``BLOCKS`` lines are finite.
     """
 
     frequencies = 40  # trial ones of an absorber

@@ -131,9 +131,28 @@ class OperatingModes:
     The modes of the whole record are fitted. Where both halves were identified apart the second one validates: it is predicted from
     the first. Where there are no halves, one value of each mode in turn (its frequency, damping or shape) is predicted from the others.
 
-    ``sets`` are of the whole, and of both halves where there are two. ``fit``, ``known`` and ``validation`` are numbers of values that are
-    fitted, of those from which others are predicted, and of the latter; ``apart`` says whether the validation values are a record of their
-    own. ``responses`` are the DOFs of the idle model that were measured. Two DOFs and a mode in band must be common to both states.
+    Parameters
+    ----------
+    idle : Idle
+    whole : ModalModel
+    halves : sequence of ModalModel
+        Two or none.
+
+    Attributes
+    ----------
+    sets : list of ModeSet
+        Of the whole, and of both halves.
+    fit, known, validation : int arrays
+        Numbers of values that are fitted, of those from which others are predicted, and of the latter.
+    apart : bool
+        Whether the validation values are a record of their own.
+    responses : int array
+        DOFs of the idle model that were measured.
+
+    Raises
+    ------
+    DataError
+        If fewer than two DOFs or no mode in band is common to both states.
     """
 
     stride = rough = 1  # every value counts in a scan

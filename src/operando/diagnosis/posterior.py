@@ -162,13 +162,27 @@ def fit(
 ) -> State:
     """The most probable unknowns near a start; discrepancy and spreads between the turns, by the evidence.
 
-    The discrepancy starts from ``alpha`` and changes fivefold a turn at most. ``floor`` is the log evidence of a state that this one has to
-    come near to: it is left off where it plainly does not. ``enough`` is the discrepancy below which nothing more is asked of a fit.
+    Parameters
+    ----------
+    case : Case
+    start : Point
+    alpha : float
+        Discrepancy to start from; it changes fivefold a turn at most.
+    floor : float
+        Log evidence of a state that this one has to come near to; left off where it plainly does not.
+    own_spreads : bool
+        Whether the spreads of what differs between the days are estimated with it.
+    closely : bool
+        To the end of the valley that products of unknowns make: on its way there the evidence still falls by ten nats.
+    in_range : bool
+        Whether a fit ends once values of an effect have left their range for some turns: it is an effect of another kind.
+    enough : float
+        Discrepancy below which nothing more is asked of a fit.
 
-    ``own_spreads`` says whether the spreads of what differs between the days are estimated with it; ``closely`` whether it goes to the end
-    of the valley that products of unknowns make: on its way there the evidence still falls by ten nats; ``in_range`` whether a fit ends
-    once values of an effect have left their range for some turns: it is an effect of another kind. ``LinAlgError`` if a start leads to
-    numbers that cannot be.
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a start leads to numbers that cannot be.
     """
     turns = _TURNS * (4 if closely else 2 if own_spreads else 1)
     least, promised_least = (0.1 * v if closely else v for v in (_GAIN, _SPREADS_AT))

@@ -56,14 +56,26 @@ def search(
 ) -> Found:
     """To the first state that explains the lines; then with spreads estimated in each state.
 
-    At most ``depth`` effects are looked for, one after the other; with spreads estimated one more at least. The search ends where a step
-    does not halve what is missing to a ``rival``, another hypothesis; it begins with the states of ``start``, and with the effects ``also``
-    beside those of the scan. ``known`` states were fitted before, the state without effects among them; a search with spreads estimated
-    makes its own. ``simpler`` says whether something simpler than two effects explains the lines: asked where one effect does not, and ends
-    the search.
-
-    ``own_spreads`` says whether spreads are estimated from the first state on: where they are far from what days in a laboratory have, no
-    state without that explains the lines, and effects would be found in their place.
+    Parameters
+    ----------
+    case : Case
+    say : callable
+        Told each step.
+    rival : Rival, optional
+        Another hypothesis: the search ends where a step does not halve what is missing to it.
+    start : Found, optional
+        States to begin with.
+    depth : int
+        Effects to look for, one after the other; with spreads estimated one more at least.
+    own_spreads : bool
+        Whether spreads are estimated from the first state on: where they are far from what days in a laboratory have, no state without
+        that explains the lines, and effects would be found in their place.
+    known : sequence of State
+        Fitted before, the state without effects among them; a search with spreads estimated makes its own.
+    simpler : callable
+        Whether something simpler than two effects explains the lines: asked where one effect does not, and ends the search.
+    also : sequence of Term
+        First effects to fit beside those of the scan.
     """
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
