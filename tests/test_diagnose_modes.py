@@ -555,6 +555,30 @@ def test_the_document_is_plain_json_with_the_keys_of_the_contract():
     assert [row["frequency_hz"] for row in document["where"]["by_mode"]] == pytest.approx(list(running(c, TRUTHS[1]).frequencies_hz))
 
 
+def test_where_the_idle_model_fails_counts_noise_as_one_by_sensor_band_and_mode():
+    left = {"by_dof": [], "by_band": [], "by_mode": []}
+    for seed in range(6):
+        c = chain(seed)
+        where = diagnose(idle_of(c), operating=running(c, seed=seed), kinds="ground_spring").to_dict()["where"]
+        assert all(row["error_db"] is None for key in ("by_dof", "by_band") for row in where[key])
+        assert [row["dof"] for row in where["by_dof"]] == [f"{k + 1}+Z" for k in range(len(SENSORS))]
+        assert len(where["by_band"]) == 8
+        for key, name in (("by_dof", "misfit"), ("by_band", "misfit"), ("by_mode", "idle_misfit")):
+            left[key] += [row[name] for row in where[key] if row[name] is not None]
+    for key, values in left.items():
+        assert np.mean(values) == pytest.approx(1, abs=0.15), key
+
+
+def test_where_the_idle_model_fails_says_by_how_much_modes_are_off():
+    c = chain()
+    there = running(c, TRUTHS[1])
+    where = diagnose(idle_of(c), operating=there, kinds="ground_spring").to_dict()["where"]
+    off = [100 * (f / its - 1) for f, its in zip(c.hz, there.frequencies_hz, strict=False)]
+    assert [row["frequency_error_percent"] for row in where["by_mode"]] == pytest.approx(off, abs=0.05)
+    worst = max(where["by_dof"], key=lambda row: row["misfit"])
+    assert worst["misfit"] > 10
+
+
 @pytest.mark.parametrize("truth", [TRUTHS[1], TRUTHS[5]], ids=["ground_spring", "gyroscopic"])
 def test_the_model_handed_on_predicts_the_running_structure(truth):
     c = chain()

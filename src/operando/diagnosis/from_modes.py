@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from operando.compare.measures import band_edges, band_masks
 from operando.data import Frf, Geometry, ModalModel
 from operando.diagnosis.arguments import kinds_asked, places_asked
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
@@ -152,7 +153,7 @@ def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Ge
         _proposal(name, effects_of(best), ambiguous),
         tuple(row | {"error_db": None, "heldout_error_db": None} for row in ladder(final)),
         tuple(candidate_rows(found)),
-        {"by_dof": [], "by_band": [], "by_mode": _by_mode(found, final)},
+        _where(final),
         None,
         ("operating_modes",),
         notes=tuple(_notes(found.best.case, lines, rest, found.odds)),
@@ -166,18 +167,42 @@ def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Ge
     )
 
 
-def _by_mode(found: Found, final: State) -> list[dict[str, Any]]:
-    """Mean squared standardised difference of each mode, with what was found and of the idle model as it is."""
-    forward, lines = final.case.forward, final.case.lines
-    w = lines.w[lines.fit]
-    before, after = (forward.predict(x, w, derivatives=False) for x in (forward.start, final.x))
-    one = lines.sets[0]  # type: ignore[attr-defined]
-    out = []
+def _where(final: State) -> dict[str, list[dict[str, Any]]]:
+    """Mean squared standardised differences of the idle model as it is, by sensor, band and mode; of each mode with what was found, too.
+
+    A sensor's is that of its part of the shapes, which are scaled to the measured ones.
+    """
+    case, forward = final.case, final.case.forward
+    lines: OperatingModes = case.lines  # type: ignore[assignment]
+    one, w = lines.sets[0], lines.w[lines.fit]
+    idle, after = (forward.predict(x, w, derivatives=False).h for x in (forward.start, final.x))
+    by_mode, by_sensor = [], []
     for k, f in enumerate(one.f):
         at = lines.fit[k * one.per_mode : (k + 1) * one.per_mode]
-        left = [float(np.mean(2 * lines.rows(lines.h[at][..., None] - p.h[at][..., None], at) ** 2)) for p in (after, before)]
-        out.append({"frequency_hz": float(f), "misfit": left[0], "idle_misfit": left[1]})
-    return out
+        misfit, its = (float(np.mean(2 * lines.rows((lines.h[at] - h[at])[..., None], at) ** 2)) for h in (after, idle))
+        off = (idle[at] - lines.h[at])[:, 0, 0]
+        frequency, damping = (100 * float(np.expm1(v)) for v in off[:2])
+        errors = {"frequency_error_percent": frequency, "height_error_db": None, "damping_error_percent": damping}
+        by_mode.append({"frequency_hz": float(f)} | errors | {"misfit": misfit, "idle_misfit": its})
+        across, noise = one.across[k], lines.noise[np.ix_(at[2:], at[2:])]
+        variance = np.sum((across @ noise) * across, axis=1)
+        seen = variance > 1e-12 * variance.max(initial=0.0)  # of the sensor that alone moves a shape says nothing
+        by_sensor.append(np.where(seen, (across @ off[2:]) ** 2 / np.where(seen, variance, 1), np.nan).reshape(2, -1))
+    edges, left = band_edges(*case.band), np.array([row["idle_misfit"] for row in by_mode])
+    by_band = [
+        {"band_hz": [float(low), float(high)], "error_db": None, "misfit": _mean(left[mask])}
+        for low, high, mask in zip(edges[:-1], edges[1:], band_masks(one.f, edges), strict=True)
+    ]
+    sensors = np.moveaxis(np.array(by_sensor).reshape(-1, 2, lines.responses.size), 2, 0)
+    by_dof = [{"dof": str(case.dofs[i]), "error_db": None, "misfit": _mean(v)} for i, v in zip(lines.responses, sensors, strict=True)]
+    return {"by_dof": by_dof, "by_band": by_band, "by_mode": by_mode}
+
+
+def _mean(values: Any) -> float | None:
+    """Of those that are there; None where there is none."""
+    known = np.asarray(values, float)
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if known.size else None
 
 
 def _validated_on(lines: OperatingModes) -> str:
