@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from operando.diagnosis import diagnose, from_records
-from operando.diagnosis.from_records import DISTORTION, standing, suspicion
+from operando.diagnosis.from_records import DISTORTION, beyond_rest, standing, suspicion, suspicion_at
 from operando.diagnosis.records import steps
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
+from operando.structure.effects import Effect
 from test_nonlinear_records import STRIP, records
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
@@ -65,6 +66,42 @@ def test_distortion_at_some_responses_is_suspicious_and_at_one_it_is_not():
         factor[:count] = 4 * DISTORTION
         loud = replace(run, frf=replace(run.frf, variance=factor * run.frf.variance))
         assert (suspicion([loud], at_rest()) is not None) == suspicious
+
+
+@pytest.mark.parametrize(
+    ("share", "kind", "suspicious"), [(1.1, "ground_spring", True), (0.9, "ground_spring", False), (1.1, "sensor_gain", False)]
+)
+def test_distortion_at_the_location_of_an_effect_is_suspicious(share, kind, suspicious):
+    """A bilinear stiffness has the FRFs of a spring at all levels; what it adds beside is largest where it is (frame 10206)."""
+    (run,) = frfs("spring")
+    dof = run.frf.responses[2]
+    factor = np.ones((8, 1, 1))
+    factor[2] = share * DISTORTION / beyond_rest([run], at_rest())[0][dof.key]
+    loud = replace(run, frf=replace(run.frf, variance=factor * run.frf.variance))
+    assert suspicion([loud], at_rest()) is None
+    here, elsewhere = (
+        Effect(kind, (str(d),), {"stiffness" if kind == "ground_spring" else "gain": 1.1}) for d in (dof, run.frf.responses[5])
+    )
+    said = suspicion_at([here], [loud], at_rest())
+    assert (said is not None) == suspicious
+    assert said is None or f"the response at {dof} holds" in said
+    assert suspicion_at([elsewhere], [loud], at_rest()) is None
+    assert suspicion_at([here], [loud]) is None
+
+
+@pytest.mark.parametrize("nonlinear", [True, False])
+def test_where_the_location_of_an_effect_is_distorted_the_records_are_looked_at(monkeypatch, nonlinear):
+    linear, seen = found("spring"), SimpleNamespace(nonlinear=("bilinear_stiffness",) * nonlinear)
+    monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
+    monkeypatch.setattr(from_records, "suspicion_at", lambda effects, check, idle_frf: "the response at 4+Z holds 5 times as much")
+    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: seen)
+    monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
+    made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()["spring"])
+    if nonlinear:
+        assert made is seen
+    else:
+        assert (made.verdict, made.effects) == (linear.verdict, linear.effects)
+        assert any("4+Z holds 5 times" in note and "no level-dependent effect" in note for note in made.notes)
 
 
 def test_a_clearance_is_found_from_the_records():
