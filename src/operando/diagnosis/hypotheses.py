@@ -90,7 +90,7 @@ class Hypotheses:
         """Whether a state leaves nothing but noise, and is more probable than two days and no effect."""
         return state.alpha < LOOSE and score(state) > score(self.alone) and leaves_noise(state)
 
-    def begun_with(self, state: State, found: Found) -> Found:
+    def search_from(self, state: State, found: Found) -> Found:
         """A search with nothing touched that begins with a state."""
         start = Found(state, found.empty, found.pool | {state.key: state})
         return search(self.one_set_up, self.say, self.rival, start=start, depth=self.depth)
@@ -125,7 +125,7 @@ class Hypotheses:
             self.rival.score = max(self.rival.score, score(other_day))
         if here is None or score(here) <= max(score(same.best), self.rival.score - EARNED):
             return same
-        return self.begun_with(here, same)
+        return self.search_from(here, same)
 
     def with_differences_as_effects(self, same: Found) -> Found:
         """A difference between days that no laboratory has may be an effect where nothing was touched."""
@@ -138,7 +138,7 @@ class Hypotheses:
         if back is None or score(back) <= max(score(same.best), score(likely)):
             return same
         self.say(f"its differences beyond those of laboratories as effects, with nothing touched: {back.log_evidence:.1f}")
-        return self.begun_with(back, same)
+        return self.search_from(back, same)
 
     def that_mode(self, mode: Found | None, same: Found) -> Found | None:
         """The measured mode, where nothing that is supported explains the lines without."""
