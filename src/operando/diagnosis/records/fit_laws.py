@@ -158,7 +158,7 @@ def _memories(motions: Sequence[Motion], reach: float, exponent: float) -> list[
     """Transform of the internal z of each run, walked at the record's own rate."""
     memory = kind_of("hysteresis").memory  # type: ignore[attr-defined]
     values = {"stiffness": 1.0 / reach, "yield_force": 1.0, "exponent": exponent}
-    return each(lambda m: m.unfine(memory(m.own_x, values)), motions)
+    return each(lambda m: m.unfine(memory(m.own_x, values, m.own_rise)), motions)
 
 
 def _slip_fit(motions: Sequence[Motion], reach: float, exponent: float) -> tuple[float, float, float, tuple[float, float]] | None:

@@ -154,6 +154,11 @@ class Motion:
         return self.x[:: self.crossing.fine]
 
     @property
+    def own_rise(self) -> Real:
+        """Velocity at the record's own rate times its step."""
+        return self.v[:: self.crossing.fine] * self.step * self.crossing.fine
+
+    @property
     def coarse(self) -> Motion:
         """The motion at the record's own rate, for comparing laws: what a kink folds back is small beside what tells them apart."""
         fine = self.crossing.fine

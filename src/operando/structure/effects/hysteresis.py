@@ -37,15 +37,27 @@ class Hysteresis(NonlinearKind):
 
     def pseudo_force(self, x: Array, v: Array, values: Values) -> Array:
         """Force along a displacement (N,) that begins with z = 0; rate-independent, so the steps may be of any length."""
-        k, force, ratio = values["stiffness"], values["yield_force"], values["ratio"]
-        return np.asarray(ratio * k * x + (1 - ratio) * force * self.memory(x, values))
+        return self._force(x, self.memory(x, values), values)
 
-    def memory(self, x: Array, values: Values, start: float = 0.0) -> Array:
-        """z (N,) along a displacement, from reversal to reversal; ``start`` is z at the first sample.
+    def over_steps(self, x: Array, v: Array, values: Values, step: float) -> Array:
+        """The same where the motion turns round between samples, too."""
+        return self._force(x, self.memory(x, values, v * step), values)
+
+    @staticmethod
+    def _force(x: Array, z: Array, values: Values) -> Array:
+        return np.asarray(values["ratio"] * values["stiffness"] * x + (1 - values["ratio"]) * values["yield_force"] * z)
+
+    def memory(self, x: Array, values: Values, rise: Array | None = None) -> Array:
+        """z (N,) along a displacement, from reversal to reversal, zero at the first sample.
 
         On one way z follows the displacement alone: back to zero it falls with it, and out it grows as dz/dy = 1 − zⁿ, y = |x|/reach.
-        So only the values at reversals follow from each other; all samples between are looked up.
+        So only the values at reversals follow from each other; all samples between are looked up. ``rise`` (N,) is velocity times step:
+        with it the reversals lie where the motion turns round, not at the samples next to them.
         """
+        if rise is not None:
+            between, turned = turning_points(x, rise)
+            own = np.arange(x.size) + np.searchsorted(between, np.arange(x.size))
+            return self.memory(np.insert(x, between + 1, turned), values)[own]
         table, even, way_to = _way_out(float(values["exponent"]))
         ways_to, per = way_to.tolist(), 1 / float(even[1])
         last = len(ways_to) - 2
@@ -60,7 +72,7 @@ class Hysteresis(NonlinearKind):
         sense = np.where(up[begins], 1.0, -1.0)
         out_of, most = table.tolist(), table.size - 2
         # z seen along the way that begins, so its sign turns with each way; and how far out from zero each begins.
-        z, starts = start * float(sense[0]), []
+        z, starts = 0.0, []
         for way in np.abs(np.diff(np.append(y[begins], y[-1]))).tolist():
             if z < 0:
                 starts.append(z)
@@ -82,12 +94,30 @@ class Hysteresis(NonlinearKind):
         ahead = np.clip(gone / WAY, 0, table.size - 1)
         index = np.minimum(ahead.astype(np.intp), most)
         outward = table[index] + (ahead - index) * np.diff(table)[index]
-        return np.concatenate([[start], senses * np.where(gone <= 0, gone, outward)])
+        return np.concatenate([[0.0], senses * np.where(gone <= 0, gone, outward)])
 
     @staticmethod
     def slope(z: Array, step: Array, exponent: Array) -> Array:
         """dz/d(x/reach): 1 on the way back, 1 − |z|^n on the way out."""
         return np.asarray(np.where(z * step > 0, 1 - np.abs(z) ** exponent, 1.0))
+
+
+def turning_points(x: Array, rise: Array) -> tuple[Array, Array]:
+    """Samples after which a motion (N,) turns round before the next, and its displacement there; ``rise`` is velocity times step.
+
+    Extremum of the cubic through displacement and velocity at both samples. A way that ends at a sample is too short by up to an
+    eighth of the acceleration times the step squared: at eight samples a period this moved exponents by 3 %.
+    """
+    at = np.flatnonzero(rise[:-1] * rise[1:] < 0)
+    way, first, last = x[at + 1] - x[at], rise[at], rise[at + 1]
+    # x(t) = x₀ + t·(first + t·(bend + t·twist)), 0 < t < 1; the root of its derivative by the form that does not cancel.
+    bend, twist = 3 * way - 2 * first - last, first + last - 2 * way
+    root = np.sqrt(np.maximum(bend**2 - 3 * twist * first, 0))
+    q = -(bend + np.copysign(root, bend))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = first / q, q / (3 * twist)
+    t = np.where((one >= 0) & (one <= 1), one, np.clip(np.nan_to_num(other), 0, 1))
+    return at, x[at] + t * (first + t * (bend + t * twist))
 
 
 @lru_cache(maxsize=8)
