@@ -294,3 +294,31 @@ def test_units_that_one_side_does_not_know_are_said():
     assert words in operando.compare(replace(model, si=False), frf).notes
     assert words not in operando.compare(model, frf).notes
     assert "the units of the second model are not known" in operando.compare(model, replace(model, si=False)).notes[0]
+
+
+def _shared_noise(rng, pairs, lines):
+    """Noise that all pairs share, of unit power: that of the force, or what a nonlinear location answers."""
+    series = (rng.normal(size=lines) + 1j * rng.normal(size=lines)) / np.sqrt(2)
+    return np.outer(np.exp(2j * np.pi * rng.random(pairs)), series)
+
+
+def test_noise_that_the_pairs_share_holds_hardly_a_mode():
+    """CHANCE: with the variance stated none, without one in some 200 lines; every seventh line was one before."""
+    rng = np.random.default_rng(3)
+    f = np.arange(10, 60, 0.25)
+    runs = [_shared_noise(rng, 6, f.size) for _ in range(10)]
+    assert sum(len(fit_peaks(y, f, variance=np.ones(y.shape))) for y in runs) == 0
+    assert sum(len(fit_peaks(y, f)) for y in runs) <= 15
+
+
+@pytest.mark.parametrize("lines_wide", [0.5, 2.0, 8.0])
+def test_a_mode_20_db_above_the_noise_is_found(lines_wide):
+    rng = np.random.default_rng(4)
+    f = np.arange(10, 60, 0.25)
+    pole = 2 * np.pi * 35.1 * (-lines_wide * 0.25 / 2 / 35.1 + 1j)
+    found = 0
+    for _ in range(20):
+        clean = np.outer(np.sign(rng.normal(size=6)), -pole.real / (2j * np.pi * f - pole))
+        peaks = fit_peaks(clean + 0.1 * _shared_noise(rng, 6, f.size), f, variance=np.full(clean.shape, 0.01))
+        found += any(abs(p.frequency_hz - 35.1) < 0.25 for p in peaks)
+    assert found >= 17

@@ -30,8 +30,9 @@ OWN_POLES = 2.5
 that drifts while a hammer roves looks like two under one peak. The measured plate: 0.6 to 2.1 where rows of points follow each other;
 two modes 0.3 % apart under noise: from 2.8."""
 
-LARGEST_REST = 0.6
-"""A pole must bring the squared residual of its window below this part of that without it."""
+LARGEST_REST, CHANCE = 0.6, 1e-3
+"""A pole must bring the squared residual of its window below this part of that without it, and below what a pole makes of noise alone in
+so small a part of windows."""
 
 LEAST_MAC = 0.3
 """Residue patterns less alike are not the same mode."""
@@ -105,6 +106,10 @@ def fit_peaks(
     known = None if variance is None else np.nan_to_num(variance * w[:, None] ** 2, nan=0.0, posinf=0.0)
     level = 10 * np.log10(np.maximum(np.mean(np.abs(y) ** 2, axis=0), 1e-300))
     tops = find_peaks(level, prominence=PROMINENCE_DB)[0].tolist()
+    if known is not None:
+        # The largest of n values of noise is above its mean by more than log(n/p) with probability p (exponential distribution).
+        noise = 10 * np.log10(np.log(f.size / CHANCE) * np.maximum(np.mean(known, axis=0), 1e-300))
+        tops = [k for k in tops if level[k] > noise[k]]
     widths = [_half_width(level, f, k) for k in tops]
     groups: list[list[int]] = []
     for i in range(len(tops)):
@@ -122,7 +127,7 @@ def fit_peaks(
         if last + 1 < len(tops):
             high = min(high, (f[tops[last]] + f[tops[last + 1]]) / 2)
         lines = np.flatnonzero((f >= low) & (f <= high))
-        need = 2 * len(group) + 5
+        need = 2 * len(group) + 9
         if lines.size < need:
             a = max(int(tops[first]) - (need - 1) // 2, 0)
             lines = np.arange(a, min(max(a + need, int(tops[last]) + 3), f.size))
@@ -193,13 +198,24 @@ def _own_poles(y: NDArray[Any], f: NDArray[np.float64], start: complex) -> tuple
     return poles, left
 
 
+def largest_rest(lines: int, poles: int) -> float:
+    """Part of the squared residual of so many lines that the weakest of some poles may leave.
+
+    Of noise with d complex values a pair left, one more direction takes a share with the density of Beta(1, d − 1): it leaves less than t
+    with probability t^(d − 1). A pole is the best of some two directions a line. The pairs count as one series: noise of the force, and
+    what a nonlinear location answers, is common to them.
+    """
+    left = lines - 3 - (poles - 1)
+    return min(LARGEST_REST, float((CHANCE / (2 * lines)) ** (1 / max(left - 1, 1))))
+
+
 def _improves(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Drop poles that explain little: what noise makes of a peak."""
     while poles.size:
         cost = float(np.sum(power_of(_rest(poles, f, y.T))))
         without = [float(np.sum(power_of(_rest(np.delete(poles, k), f, y.T)))) for k in range(poles.size)]
         weakest = int(np.argmin(without))
-        if cost <= LARGEST_REST * without[weakest]:
+        if cost <= largest_rest(f.size, poles.size) * without[weakest]:
             break
         poles = np.delete(poles, weakest)
         if poles.size:
