@@ -194,18 +194,6 @@ def ofrf(results: Results, findings: list[Finding]) -> Frf:
                 action="`operando ofrf DIR --references DOFS` makes any column",
             )
         )
-    modal = results.hybrid.modal
-    frf: Frf = modal.frf(lines, None, references, "accelerance", variance=False)
-    return frf if modal.covariance is None else replace(frf, variance=_variance(modal, frf, results))
-
-
-def _variance(modal: ModalModel, frf: Frf, results: Results) -> Any:
-    """Variance of each line in the columns of the measured references, NaN elsewhere: of all pairs it is half as much again as the FRFs."""
-    runs = [*(run.frf for run in results.check or ()), *(() if results.idle_frf is None else (results.idle_frf,))]
-    known = DofIndex([d for run in runs for d in run.references])
-    columns = [j for j, d in enumerate(frf.references) if d in known]
-    variance = np.full(frf.data.shape, np.nan)
-    if columns:
-        some = modal.frf(frf.frequencies_hz, None, tuple(frf.references[j] for j in columns), "accelerance")
-        variance[:, columns] = some.variance
-    return variance
+    # One set a pair, for programs that take each set for an FRF; `operando ofrf` writes the standard deviations too.
+    frf: Frf = results.hybrid.modal.frf(lines, None, references, "accelerance", variance=False)
+    return frf
