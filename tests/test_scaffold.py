@@ -204,9 +204,11 @@ def test_arrays_without_frequencies_are_taken_and_the_step_is_asked_for(tmp_path
     h = np.stack([(lines / 30) ** 2 / (1 - (lines / f) ** 2 + 0.02j * lines / f) for f in (21.0, 50.0)], axis=1)
     np.savez(tmp_path / "frf.npz", data=h)
     (tmp_path / "LICENSE").write_text("Copyright")
+    (tmp_path / "Citation.txt").write_text("A. Author, a paper")
     made = scaffold(tmp_path)
-    assert {t.file.name: t.role for t in made.taken} == {"frf.npz": "idle frfs", "LICENSE": "ignored"}
-    assert "2 FRFs of 401 lines without frequencies" in made.taken[0].reason
+    assert {t.file.name: t.role for t in made.taken} == {"frf.npz": "idle frfs", "LICENSE": "ignored", "Citation.txt": "ignored"}
+    assert all(t.sure for t in made.taken if t.role == "ignored")
+    assert any("2 FRFs of 401 lines without frequencies" in t.reason for t in made.taken)
     assert any("give [units] frequency_step_hz" in note for note in made.notes)
     write_test(made, tmp_path / "test.toml")
     results = run(tmp_path, tmp_path / "results", until="frf", report=False)

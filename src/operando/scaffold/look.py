@@ -143,7 +143,7 @@ def _passed_over(file: Path) -> str:
         return "a hidden file"
     if suffix == ".toml":
         return "a test file or settings, no measurement"
-    if not suffix and file.name.lower() in ("license", "licence", "copying", "readme", "notice", "changelog"):
+    if suffix in ("", ".txt") and file.stem.lower() in ("license", "licence", "copying", "readme", "notice", "changelog", "citation"):
         return "not read: a text about the files"
     if not can_be_named(file):
         return "its name is no Unicode and cannot stand in a test file: rename it"
