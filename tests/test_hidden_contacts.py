@@ -1,8 +1,8 @@
 """The generator of level-dependent hidden effects: its time integration against a solver of its own kind, its sizes, its files."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ import contacts  # noqa: E402
 import generate  # noqa: E402
 import records  # noqa: E402
 from families import draw  # noqa: E402
+from hidden import add_to_first  # noqa: E402
 
 HZ, ZETA = np.array([6.0, 17.0, 41.0]), np.array([0.01, 0.008, 0.006])
 ROWS = np.array([[0.6, -0.5, 0.4], [0.3, 0.7, -0.6]])
@@ -39,9 +40,9 @@ def test_integration_against_an_adaptive_solver(kind, monkeypatch):
     values, law, rate_of = contacts._law(kind, 5.0 if kind == "coulomb_friction" else 3e3, x_rms, v_rms, rng, float(b @ b))
     assert all(v > 0 for v in values.values())
     contact = contacts.Contact(b, law, rate_of)
-    structure = SimpleNamespace(hz=HZ, zeta=ZETA)
+    pole = w0 * (-ZETA + 1j * np.sqrt(1 - ZETA**2))
     start, lead = 1024, int(0.5 * rate)
-    made = contacts.added(structure, ROWS, contact, (b @ modal)[None], period, np.array([start]), samples, rate, records.anti_alias)[0]
+    made = contacts.added(pole, ROWS, b, contact, (b @ modal)[None], period, np.array([start]), samples, rate, records.anti_alias)[0]
 
     # The same from one set of equations: modes under force and law, started from the linear motion at the same moment.
     begin = (start - lead) / rate
@@ -82,7 +83,7 @@ def test_sizes_shake_the_structure_neither_little_nor_to_pieces(kind):
 
 
 def test_a_case_holds_its_runs_and_never_its_answer(tmp_path, monkeypatch):
-    def quick(structure, rows, contact, linear, period, starts, samples, rate, gain):
+    def quick(pole, rows, b, contact, linear, period, starts, samples, rate, gain):
         return np.zeros((len(linear), len(rows), samples))
 
     monkeypatch.setattr(records, "added", quick)
@@ -96,3 +97,31 @@ def test_a_case_holds_its_runs_and_never_its_answer(tmp_path, monkeypatch):
             assert b"clearance" not in path.read_bytes()
     with pytest.raises(ValueError, match="shaker"):
         generate.truth(generate.parse("frame-clearance-500-r2-hammer"))
+
+
+def test_on_another_day_the_effect_acts_on_the_structure_of_that_day():
+    """A linear spring as a contact against the FRFs of that day with the spring in the stiffness matrix, both through the channels."""
+    spec = generate.Spec("rotor", "clearance", 501, 2, days=True)
+    known = generate.truth(spec)
+    state, b, k = known.state, known.contact.row, 2e4
+    assert state.remounted is not None
+    spring = contacts.Contact(b, lambda x, v, z: k * x, lambda x, v, z: 0 * z)
+    rate, samples, lead = records.RATE, 4096, int(contacts.LEAD * records.RATE)
+    period = lead + samples + 4096
+    force = records.random_force(np.random.default_rng(2), period, np.array([5.0]), 3.0, 190.0)
+    reference = known.references[0]
+    column, hz = state.remounted.columns[reference][None], records.lines(period)
+    away = np.where(hz > 0, -1 / np.maximum(2 * np.pi * hz, 1e-9) ** 2, 0)
+    pole, shapes = records._modes_at(known.structure, state, np.concatenate([b[None], state.seen]))
+    assert np.abs(shapes.imag).max() > 1e-3 * np.abs(shapes.real).max()
+    at = records.steady(state.system, b[None], column, force, period)[0] * away
+    made = contacts.added(
+        pole, shapes[1:], shapes[0], spring, at[None], period, np.array([lead]), samples, rate,
+        lambda f: records.logger_gain(f) * state.remounted.responses(f),
+    )[0]  # fmt: skip
+    sprung = replace(state.system, stiffness=add_to_first(state.system.stiffness, k * np.outer(b, b)))
+    both = [records.through_faults(state, records.steady(s, state.seen, column, force, period), hz) for s in (sprung, state.system)]
+    wanted = fft.irfft(both[0] - both[1], period)[:, lead : lead + samples]
+    window = np.sin(np.pi * (np.arange(samples) + 0.5) / samples) ** 4
+    ours, theirs = (fft.rfft(x * window, axis=1)[:, 40:1400] for x in (made, wanted))
+    assert np.linalg.norm(ours - theirs) < 0.01 * np.linalg.norm(theirs)

@@ -171,8 +171,9 @@ def _law(kind: str, size: float, x: float, v: float, rng: np.random.Generator, m
 
 
 def added(
-    structure: Structure,
+    pole: np.ndarray,
     rows: np.ndarray,
+    b: np.ndarray,
     contact: Contact,
     linear: np.ndarray,
     period: int,
@@ -183,8 +184,9 @@ def added(
 ) -> np.ndarray:
     """Accelerations (runs, rows, samples) that the effect adds.
 
-    ``linear`` (runs, lines) are displacement spectra at the place over the period without the effect, ``starts`` the samples at which the
-    records begin; ``gain(hz)`` is the logger's filter.
+    Of modes with these poles and shapes (rows at the sensors, ``b`` at the place; complex ones so scaled that a residue of the receptance
+    is φφᵀ/(2j·Im λ)). ``linear`` (runs, lines) are displacement spectra at the place over the period without the effect, ``starts`` the
+    samples at which the records begin; ``gain(hz)`` is what logger and channels make of a motion, (lines,) or (rows, lines).
     """
     lead, fine = int(LEAD * rate), max(round(FINE * RATE / rate), 2)
     n = (lead + samples + int(rate)) * fine
@@ -194,17 +196,14 @@ def added(
     x_free, v_free = (fft.irfft(s, period * fine, axis=1) for s in (spectra, spectra * 2j * np.pi * hz))
     index = ((starts - lead)[:, None] * fine + np.arange(n + 1)) % (period * fine)
     x_free, v_free = (np.ascontiguousarray(np.take_along_axis(a, index, axis=1).T) for a in (x_free, v_free))
-    w = 2 * np.pi * structure.hz
-    pole = w * (-structure.zeta + 1j * np.sqrt(1 - structure.zeta**2))
     step = 1 / (rate * fine)
     e = np.exp(pole * step)
     first = (e - 1) / pole
     second = (e - 1 - pole * step) / (pole**2 * step)
-    b = contact.row
-    # q = Im(y)/ω_d for y' = λy + u; x = b·q, its rate from λy.
+    # x = Im(b·y)/ω_d for y' = λy + b·u, its rate from λy.
     to_x = b / pole.imag
     to_v = to_x * pole
-    make = np.stack([np.concatenate([to_x.imag * 0, to_x]), np.concatenate([to_v.imag, to_v.real])])
+    make = np.stack([np.concatenate([to_x.imag, to_x.real]), np.concatenate([to_v.imag, to_v.real])])
     y = np.zeros((pole.size, len(linear)), complex)
     z = np.zeros(len(linear))
     forces = np.empty((n, len(linear)))
@@ -238,12 +237,14 @@ def _accelerations(rows, b, pole, forces, step, lead, samples, rate, gain) -> np
     silence = 9 / -pole.real.max() / step
     pad = (1 << int(np.ceil(np.log2(n + silence)))) // 2
     hz = fft.rfftfreq(2 * pad, step)
-    wanted = np.flatnonzero((hz > 0) & (gain(hz) > 0) & (hz < rate / 2))
+    kept = np.atleast_2d(gain(hz))
+    wanted = np.flatnonzero((hz > 0) & np.any(kept != 0, axis=0) & (hz < rate / 2))
     spectra = fft.rfft(forces, 2 * pad, axis=0)[wanted]
     s = 2j * np.pi * hz[wanted]
-    modal = b[:, None] / ((s - pole[:, None]) * (s - pole[:, None].conj()))
+    half = (b / (2j * pole.imag))[:, None]
     out = np.zeros((runs, len(rows), samples))
-    transfer = -(rows @ modal) * s**2 * gain(hz[wanted])
+    receptance = rows @ (half / (s - pole[:, None])) + rows.conj() @ (half.conj() / (s - pole[:, None].conj()))
+    transfer = -receptance * s**2 * kept[:, wanted]
     every = round(1 / (step * rate))
     for k in range(runs):
         full = np.zeros((len(rows), pad // every + 1), complex)

@@ -8,11 +8,11 @@ structure moves; a hammer record begins at rest, for the rest of its period is s
 from __future__ import annotations
 
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from contacts import LEAD, RATE, Contact, added
+from days import mode_shapes
 from families import Structure
 from hidden import Hidden, System
 from scipy import fft
@@ -178,8 +178,10 @@ def contact_runs(
     period += period % 2
     size = np.abs(state.shapes).max(axis=1)
     places = rng.choice(np.flatnonzero(size > 0.05 * size.max()), 24, replace=False)
+    put_back = state.remounted
+    columns = {r: state.rows[r] if put_back is None else put_back.columns[r] for r in references}
     drives = [
-        (random_force(rng, period, np.array([v]), 3.0, 190.0, rate), state.rows[[r]]) for r, v in zip(references, levels, strict=True)
+        (random_force(rng, period, np.array([v]), 3.0, 190.0, rate), columns[r][None]) for r, v in zip(references, levels, strict=True)
     ]
     # Together they shake the machine about as much as the shaker does.
     drives.append(
@@ -187,19 +189,34 @@ def contact_runs(
     )
     hz = lines(period, rate)
     away = np.where(hz > 0, -1 / np.maximum(2 * np.pi * hz, 1e-9) ** 2, 0)
-    at_place = np.array([steady(state.system, contact.row[None], columns, forces, period, rate)[0] * away for forces, columns in drives])
+    at_place = np.array([steady(state.system, contact.row[None], at, forces, period, rate)[0] * away for forces, at in drives])
     start = int(LEAD * rate)
     starts = np.full(len(drives), start)
-    more = added(logger.structure, state.rows, contact, at_place, period, starts, samples, rate, partial(logger_gain, rate=rate))
+    pole, shapes = _modes_at(logger.structure, state, np.concatenate([contact.row[None], state.seen]))
+
+    def kept(hz: np.ndarray) -> np.ndarray:
+        return logger_gain(hz, rate) * (1.0 if put_back is None else put_back.responses(hz))
+
+    more = added(pole, shapes[1:], shapes[0], contact, at_place, period, starts, samples, rate, kept)
     out = []
-    for k, (forces, columns) in enumerate(drives):
+    for k, (forces, at) in enumerate(drives):
         # Exact for forces within the filter's band, as they are.
-        linear = fft.irfft(steady(state.system, state.rows, columns, forces, period, rate), period)[:, start : start + samples]
+        spectra = through_faults(state, steady(state.system, state.seen, at, forces, period, rate), hz)
+        linear = fft.irfft(spectra, period)[:, start : start + samples]
         driven = k < len(references)
-        measured = fft.irfft(forces[0], period)[start : start + samples] if driven else None
+        force = forces[0] * (1.0 if put_back is None or not driven else put_back.force(references[k], hz))
+        measured = fft.irfft(force, period)[start : start + samples] if driven else None
         name = f"running state, shaker at {logger.structure.sensors[references[k]].name}" if driven else "running"
         out.append(logger.run(linear + more[k], measured, references[k] if driven else None, name))
     return out
+
+
+def _modes_at(structure: Structure, state: Hidden, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poles and shapes at rows of a state without what is hidden; on another day damping couples the modes of day one."""
+    if state.remounted is None:
+        w = 2 * np.pi * structure.hz
+        return w * (-structure.zeta + 1j * np.sqrt(1 - structure.zeta**2)), rows
+    return mode_shapes(state, rows, structure.hz.size)
 
 
 def geometry(structure: Structure) -> bytes:
