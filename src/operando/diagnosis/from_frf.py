@@ -16,6 +16,7 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import LOOSE
 from operando.diagnosis.days import no_other_day, unlike_days, untouched
+from operando.diagnosis.discrepancy import discrepancy_row
 from operando.diagnosis.document import (
     between_rows,
     candidate_rows,
@@ -384,7 +385,7 @@ def told(
         tuple(detectable_rows(final, said)),
         why or None,
         tuple(between_rows(final if law is None else law)),
-        {"value": (law or best).alpha, "std": None},
+        discrepancy_row(law or best),
         by_level,
     )
 

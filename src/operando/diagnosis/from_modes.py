@@ -14,6 +14,7 @@ from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import MOST_CHI_SQUARE
+from operando.diagnosis.discrepancy import discrepancy_row
 from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder, odds_text, restricted
 from operando.diagnosis.found import Found
 from operando.diagnosis.hypotheses import Hypotheses
@@ -163,7 +164,7 @@ def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Ge
         detectable=tuple(detectable_rows(final, said)),
         reason=why or None,
         between=tuple(between_rows(final)),
-        discrepancy={"value": best.alpha, "std": None},
+        discrepancy=discrepancy_row(best),
     )
 
 

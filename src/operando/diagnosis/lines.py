@@ -181,6 +181,10 @@ class Lines:
         """Lines from which those that validate are predicted."""
         return self.fit
 
+    def by_stretch(self, values: Array, at: Array) -> Array:
+        """Sums of values (lines,) over stretches in which a discrepancy stays alike."""
+        return np.bincount((self._warped[at] - self._warped[at].min()).astype(int), weights=values)
+
     def error(self, predicted: Array, at: Array) -> float:
         """Of predicted FRFs (lines, responses, references), dB, rms."""
         db = 20 * np.log10(np.abs(predicted[:, self.there]) / np.abs(self.h[at][:, self.there]))
@@ -220,12 +224,16 @@ class Lines:
         return 2 * np.pi * self._all[0]
 
     def _warp(self, f: Array) -> Array:
-        """Frequency in units over which an FRF changes."""
-        fine = np.linspace(*self.band, 4000)
-        away = np.abs(fine[:, None] - self.f)
-        nearest = np.argmin(away, axis=1)
-        width = np.maximum(np.abs(self.zeta[nearest]) * self.f[nearest], away.min(1) / 2)
-        return np.asarray(np.interp(f, fine, np.concatenate([[0], np.cumsum(np.diff(fine) / width[1:])])))
+        return changes(f, self.band, self.f, self.zeta)
+
+
+def changes(hz: Array, band: tuple[float, float], f: Array, zeta: Array) -> Array:
+    """Frequency in units over which FRFs of modes (Hz, ratio) change: half the distance to the nearest, its half-power width at least."""
+    fine = np.linspace(*band, 4000)
+    away = np.abs(fine[:, None] - f)
+    nearest = np.argmin(away, axis=1)
+    width = np.maximum(np.abs(zeta[nearest]) * f[nearest], away.min(1) / 2)
+    return np.asarray(np.interp(hz, fine, np.concatenate([[0], np.cumsum(np.diff(fine) / width[1:])])))
 
 
 def alike_lines(h: Array, variance: Array) -> float:

@@ -212,6 +212,11 @@ class OperatingModes:
         """λ of the rows, (1, rows)."""
         return self.basis(at)[1][None]
 
+    def by_stretch(self, values: Array, at: Array) -> Array:
+        """Sums of values (values,) over each mode, which a discrepancy moves as a whole."""
+        ends = np.cumsum([0, *np.repeat([s.per_mode for s in self.sets], [s.n for s in self.sets])])
+        return np.bincount(np.searchsorted(ends, at, side="right"), weights=values)
+
     def error(self, predicted: Array, at: Array) -> float:
         """Of predicted values (values, 1, 1), rms, in standard deviations of the noise."""
         return float(np.sqrt(2 * np.mean(self.rows((self.h[at] - predicted)[..., None], at) ** 2)))

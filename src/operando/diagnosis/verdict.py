@@ -22,6 +22,7 @@ from operando.diagnosis.criteria import (
     UNUSUAL,
 )
 from operando.diagnosis.days import unlike_days, untouched
+from operando.diagnosis.discrepancy import most_likely
 from operando.diagnosis.found import Found
 from operando.diagnosis.free_law import free_law_text
 from operando.diagnosis.posterior import State, leaves_noise, left_on, on_fitted_lines, on_validation_lines, with_discrepancy
@@ -209,12 +210,13 @@ def with_sizes(found: Found) -> Found:
 
 
 def with_validation(found: Found) -> Found:
-    """With effects of known sizes, and the discrepancy as the validation lines ask for it, where the fitted ones are left with less.
+    """With effects of known sizes and the most likely discrepancy, or the one that the validation lines ask for where that is more.
 
     A model that is not exact follows the lines it is fitted to, and its intervals are too narrow: the share of an FRF that no
     parameter explains is the one on lines that were never fitted.
     """
     found = with_sizes(found)
+    found = _with_best(found, most_likely(found.best))
     best = found.best
     if best.alpha >= EXPLAINED or on_validation_lines(best)[0] < MOST_CHI_SQUARE:
         return found
@@ -228,7 +230,12 @@ def with_validation(found: Found) -> Found:
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if left(float(np.exp(middle))) > 1 else (low, middle)
-    state = with_discrepancy(best, float(np.exp(high)))
+    return _with_best(found, with_discrepancy(best, float(np.exp(high))))
+
+
+def _with_best(found: Found, state: State) -> Found:
+    """The best state under another discrepancy."""
+    best = found.best
     return replace(found, best=state, empty=state if found.empty is best else found.empty, pool=found.pool | {best.key: state})
 
 

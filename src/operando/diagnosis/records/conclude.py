@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from operando.compare.verdict import floor_reason, verdict_of
+from operando.compare.verdict import GOOD, floor_reason, verdict_of
 from operando.data import Geometry
 from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.closed_loop import against_records
 from operando.diagnosis.records.fit_laws import free_law
-from operando.diagnosis.records.hold_out import discrepancy, judged_on, step_row, where_it_fails
+from operando.diagnosis.records.hold_out import Discrepancy, judged_on, step_row, where_it_fails
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.refine import std_of
 from operando.diagnosis.records.result import Equivalents, RecordsDiagnosis, linear_model
@@ -102,12 +102,15 @@ def conclude(
     validation = [r["heldout_misfit"] for r in rows]
     unseen = floor_reason(rows[0].get("noise_floor_db"))
     part = last.hold_out()
-    off = discrepancy(weighted[part], errors[part]) if accepted else 0.0
-    within = bool(accepted) and off <= DISCREPANCY
+    off = Discrepancy.of(last, weighted[part], errors[part]) if accepted else None
+    within = off is not None and off.chi_square(DISCREPANCY) <= GOOD
     verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)
     picture = pictures_of(first, effects, accepted, notes)
-    if verdict in ("explained", "ambiguous") and off > 0:
-        notes.append(f"what is left beyond the noise is {100 * off:.2g} % of the responses; {100 * DISCREPANCY:g} % are allowed")
+    if off is not None and verdict in ("explained", "ambiguous") and validation[-1] >= GOOD:
+        notes.append(
+            f"the validation lines are left at a reduced chi-square of {validation[-1]:.3g}; with a discrepancy of {100 * DISCREPANCY:g} % "
+            f"of the responses, which is allowed, at {off.chi_square(DISCREPANCY):.2g}"
+        )
     if len(accepted) == 1 and verdict in ("explained", "ambiguous") and (wrong := wrong_law(accepted[0])):
         verdict, reason = verdict_of(validation, unseen=unseen, more=wrong, within=within)
     if verdict not in ("explained", "ambiguous", "partial") and effects:
@@ -133,7 +136,7 @@ def conclude(
         model=linear_model(first.idle, effects, same, geometry),
         judged_on=judged_on(last),
         reason=reason,
-        discrepancy={"value": off, "std": None} if effects else None,
+        discrepancy=off.to_dict() if off is not None and effects else None,
         detection=detection,
         simulation=simulated(steps[0].case, accepted, notes),
         equivalents=same,

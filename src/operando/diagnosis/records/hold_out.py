@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, noise_floor_db
-from operando.compare.verdict import GOOD
+from operando.diagnosis.lines import changes
 from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.run import running_mean
+from operando.indicators import INTERVAL
 from operando.structure.effects import Effect
-from operando.structure.modal_space import Complex
+from operando.structure.modal_space import Complex, Real
+
+_ALIKE = 2.0  # widths over which FRFs change, in one stretch of frequency: what neighbours share is seen, and most bands have twenty
 
 
 def lines_of(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> Lines:
@@ -28,20 +33,50 @@ def lines_of(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> Lines:
     return Lines(measured - np.concatenate([r.ravel() for r in rest]), measured, variance, np.zeros_like(variance), rows, hz)
 
 
-def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> float:
-    """Part α of the responses to be allowed for, for the reduced chi-square to be good; 0 where it is.
+@dataclass(frozen=True)
+class Discrepancy:
+    """What a model leaves of responses, weighed, and their power over its variance, (q, L) of each run.
 
     (α|X|)² stands beside the variance, |X|² the mean over neighbouring lines: a random response dips at single lines for no reason.
+    ``stretches`` number the lines (L,) of each run by where a discrepancy stays alike.
     """
-    parts = []
-    for w, error in zip(weighted, errors, strict=True):
-        rest = np.abs(w.with_error(error).decayed()) ** 2
-        parts.append((rest, running_mean(np.abs(w.run.responses[:, w.run.lines]) ** 2) / w.run.variance))
-    count = sum(rest.size for rest, _ in parts)
-    left = lambda part: sum(float(np.sum(rest / (1 + part**2 * power))) for rest, power in parts) / max(count, 1) - GOOD  # noqa: E731
-    if left(0.0) < 0:
-        return 0.0
-    return 1.0 if left(1.0) >= 0 else float(brentq(left, 0.0, 1.0))
+
+    left: list[Real]
+    power: list[Real]
+    stretches: list[NDArray[np.int_]]
+
+    @classmethod
+    def of(cls, case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> Discrepancy:
+        """Of runs of a case with given errors (q, L)."""
+        left = [np.abs(w.with_error(error).decayed()) ** 2 for w, error in zip(weighted, errors, strict=True)]
+        power = [running_mean(np.abs(w.run.responses[:, w.run.lines]) ** 2) / w.run.variance for w in weighted]
+        modes = case.idle.frequencies_hz, case.idle.damping_ratios
+        return cls(left, power, [(changes(w.run.hz, case.band, *modes) / _ALIKE).astype(int) for w in weighted])
+
+    def chi_square(self, alpha: float) -> float:
+        """Reduced chi-square where this part of the responses is allowed for."""
+        total = sum(float(np.sum(rest / (1 + alpha**2 * power))) for rest, power in zip(self.left, self.power, strict=True))
+        return total / max(sum(rest.size for rest in self.left), 1)
+
+    def to_dict(self) -> dict[str, float]:
+        """Part α of the responses that makes the reduced chi-square one, 0 where it is less without; and its standard deviation.
+
+        The scatter of what stretches of frequency have beyond one, neighbours together (Newey & West, Econometrica 55, 1987, 703–708), says
+        how well that mean is known: errors of one force law are alike at all responses and over a resonance. It says so of α²; the
+        standard deviation of α is that of the wider side of its 95 % interval.
+        """
+        if self.chi_square(0.0) <= 1:
+            alpha = 0.0
+        else:
+            alpha = 1.0 if self.chi_square(1.0) >= 1 else float(brentq(lambda part: self.chi_square(part) - 1, 0.0, 1.0))
+        beyond, slope = np.zeros(1 + max(int(at.max(initial=0)) for at in self.stretches)), 0.0
+        for rest, power, at in zip(self.left, self.power, self.stretches, strict=True):
+            total = 1 + alpha**2 * power
+            beyond += np.bincount(at, weights=(rest / total - 1).sum(axis=0), minlength=beyond.size)
+            slope += float(np.sum(power / total))
+        scatter = float(np.sqrt((beyond @ beyond + beyond[1:] @ beyond[:-1]) * beyond.size / max(beyond.size - 1, 1)))
+        low, high = (np.sqrt(max(alpha**2 + side * INTERVAL * scatter / slope, 0.0)) for side in (-1, 1))
+        return {"value": alpha, "std": float(max(alpha - low, high - alpha) / INTERVAL)}
 
 
 def step_row(step: int, added: Effect | None, case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
