@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -96,6 +96,7 @@ def test_where_the_location_of_an_effect_is_distorted_the_records_are_looked_at(
     monkeypatch.setattr(from_records, "suspicion_at", lambda effects, check, idle_frf: "the response at 4+Z holds 5 times as much")
     monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
+    monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()["spring"])
     if nonlinear:
         assert made is seen
@@ -200,3 +201,46 @@ def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws)
     assert set(walked) == {(1, 3), of_laws}
     assert len(walked) == len(set(walked))
     assert made.tried[0].law.kind == "hysteresis"
+
+
+def remounted(record, sensor, force):
+    """The record as one sensor and all force sensors of other gains give it."""
+    data = np.array(record.data, float)
+    data[record.response_indices[2]] *= sensor
+    data[list(record.force_indices)] *= force
+    return replace(record, data=data)
+
+
+def test_what_differs_between_the_days_is_stated_beside_a_clearance():
+    """Of the FRFs at the highest level, with the mean spring and damper there."""
+    measured = [remounted(r, 1.02, 0.99) for r in records()["clearance"]]
+    runs = check_frfs(measured, lambda part: estimate_frf(part, estimator="lrm"))
+    days = {"sensor_gain": 0.02, "force_gain": 0.01, "stiffness": 0.003, "damping": 0.1}
+    options = {"band": BAND, "kinds": ["ground_spring", "clearance"], "places": ["5+Z", "2+Z"], "idle_frf": at_rest()}
+    made = diagnose(STRIP.idle(), check=runs, records=measured, between=days, **options)
+    assert [e.kind for e in made.effects] == ["clearance"]
+    rows = {(row["what"], *row["location"]): row for row in made.to_dict()["between"]}
+    true = {("sensor_gain", str(d)): 1.02 if k == 2 else 1.0 for k, d in enumerate(STRIP.idle().dofs)}
+    true |= {("force_gain", "2+Z"): 0.99, ("force_gain", "6+Z"): 0.99, ("stiffness",): 0.0, ("damping",): 1.0}
+    for key, value in true.items():
+        assert abs(rows[key]["value"] - value) < 2.5 * rows[key]["std"], key
+    assert rows["sensor_gain", "3+Z"]["value"] > 1 + 2 * rows["sensor_gain", "3+Z"]["std"]
+    assert not any("what differs" in note for note in made.notes)
+
+
+def test_where_frfs_do_not_tell_what_differs_it_is_said(monkeypatch):
+    seen = found("clearance")
+    assert seen.between is not None
+    bare = replace(seen, between=None, notes=())
+    of = partial(from_records.with_days, bare, STRIP.idle())
+    assert of(()).notes == (
+        "what differs between the two measurements is not known: it is estimated from FRFs of the validation "
+        "measurement, and there are none",
+    )
+    for left, known in ((0.031, False), (0.029, True)):
+        applied = SimpleNamespace(discrepancy={"value": left, "std": None}, between=())
+        monkeypatch.setattr(from_records, "apply_effects", lambda *a, applied=applied, **k: applied)
+        made = of(frfs("clearance"))
+        assert (made.between == ()) == known
+        (note,) = made.notes
+        assert note == from_records.UNTOUCHED if known else "3.1 % of the FRFs" in note

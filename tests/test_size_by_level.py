@@ -86,6 +86,7 @@ def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_record
     monkeypatch.setattr(from_records, "diagnose_records", look)
     monkeypatch.setattr(from_records, "sizes_by_level", lambda *args: [row])
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: (seen, rest[-1]))
+    monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     out = from_records.diagnose_levels(lambda: found, model().idle, [], [])
     if records_give == "cubic":
         assert out == (seen, (str(row),))

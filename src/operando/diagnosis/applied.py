@@ -33,6 +33,8 @@ class Applied(Short):
         What each effect did to the error, and where the data do not support it.
     judged_on : mapping
         State, level and lines of the figures on lines that were never fitted.
+    between, discrepancy : tuple of dict and dict, optional
+        What differs between the two measurements, and what no parameter explains, as in ``diagnosis.json``; of FRFs alone.
     """
 
     model: Model
@@ -40,6 +42,8 @@ class Applied(Short):
     ladder: tuple[dict[str, Any], ...]
     words: tuple[str, ...]
     judged_on: Mapping[str, Any] = field(default_factory=dict)
+    between: tuple[dict[str, Any], ...] | None = None
+    discrepancy: dict[str, Any] | None = None
 
     def facts(self) -> dict[str, str]:
         """What the short form says; ± is the 95 % interval."""
@@ -51,12 +55,14 @@ class Applied(Short):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object: effects, errors by step, words, and what the figures on lines never fitted stand on."""
+        """JSON object: effects, errors by step, words, what the figures on lines never fitted stand on, and what else differs."""
         return {
             "effects": [e.to_dict() for e in self.effects],
             "ladder": [dict(r) for r in self.ladder],
             "words": list(self.words),
             "judged_on": dict(self.judged_on),
+            "between": None if self.between is None else [dict(row) for row in self.between],
+            "discrepancy": self.discrepancy,
         }
 
 

@@ -16,7 +16,8 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import EXPLAINED, LOOSE, MOST_CHI_SQUARE, tolerated
 from operando.diagnosis.days import strained
-from operando.diagnosis.document import judged_on, ladder, step_row
+from operando.diagnosis.discrepancy import discrepancy_row, most_likely
+from operando.diagnosis.document import between_rows, judged_on, ladder, step_row
 from operando.diagnosis.from_frf import chosen_run, searched
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
@@ -152,6 +153,7 @@ def apply_effects(
         final = states[-1]
         if final.alpha < EXPLAINED:
             final = fit(final.case, final.x, final.alpha, own_spreads=True)
+        final = most_likely(final)
         rows = ladder(final)
         words = []
         for k, state in enumerate(states[1:], 1):
@@ -163,7 +165,15 @@ def apply_effects(
                 )
         if not run.frf.si:
             words.append(UNKNOWN_UNITS)
-        return Applied(model_of(idle, final, geometry), effects_of(final), tuple(rows), tuple(words), judged_on(final, run))
+        return Applied(
+            model_of(idle, final, geometry),
+            effects_of(final),
+            tuple(rows),
+            tuple(words),
+            judged_on(final, run),
+            tuple(between_rows(final)),
+            discrepancy_row(final),
+        )
 
 
 def _placed(idle: Idle, effects: Sequence[Effect], geometry: Geometry | None) -> tuple[Idle, list[tuple[int, ...]], Geometry | None]:

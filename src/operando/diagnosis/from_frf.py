@@ -284,22 +284,22 @@ def diagnose(
     expect(geometry, Geometry | None, "effects stand on a geometry", "read(file).geometry is one")
     runs = validation_runs(check)
     asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds_asked(kinds), "places": places, "band": band}
-    asked |= {"progress": progress, "compared": compared}
+    asked |= {"progress": progress, "compared": compared, "idle_frf": idle_frf, "between": between}
 
     def from_frf() -> Diagnosis:
-        return diagnose_frf(idle, runs, idle_frf=idle_frf, between=between, operating=operating, **asked)
+        return diagnose_frf(idle, runs, operating=operating, **asked)
 
     if records:
         from operando.diagnosis.from_records import diagnose_levels
 
-        found = diagnose_levels(from_frf if runs else None, idle, runs, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
+        found = diagnose_levels(from_frf if runs else None, idle, runs, records, exclude_bands=exclude_bands, **asked)
     elif runs:
         found = from_frf()
     elif operating is not None:
         from operando.diagnosis.from_modes import diagnose_modes
 
         del asked["compared"]
-        return diagnose_modes(idle, operating, idle_frf=idle_frf, between=between, **asked)
+        return diagnose_modes(idle, operating, **asked)
     else:
         raise MissingError(
             "neither FRFs of a validation measurement nor operational modes to diagnose from",

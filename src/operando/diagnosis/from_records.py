@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Frf, Geometry, ModalModel, TimeRecord
+from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
 from operando.diagnosis.at_level import level_picture
+from operando.diagnosis.by_hand import apply_effects
+from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
@@ -28,6 +30,11 @@ spring."""
 FAINT = 3.0
 """And where they find nothing, what is not proportional to the force may be this many times as much at the higher level as at the lower;
 1.2 to 1.4 times in eight linear cases, 6.6 to 52 in nine with a quadratic stiffness."""
+
+UNTOUCHED = (
+    "the validation FRFs are as probable with nothing touched between the idle and the operating measurement; gains, positions of "
+    "sensors, temperature and damping count as the same"
+)
 
 SURE = ("explained", "no_misfit", "ambiguous")
 
@@ -103,6 +110,7 @@ def diagnose_levels(
     band: tuple[float, float] | None = None,
     progress: Callable[[str], None] | None = None,
     compared: Mapping[str, Any] | None = None,
+    between: Mapping[str, float] | None = None,
 ) -> Diagnosis:
     """The diagnosis from the records where something depends on the level, else the linear one; options as in :func:`operando.diagnose`.
 
@@ -114,8 +122,12 @@ def diagnose_levels(
             idle, records, geometry=geometry, kinds=kinds, places=places, band=band, exclude_bands=exclude_bands, progress=progress
         )
 
+    def told(seen: RecordsDiagnosis, words: Sequence[str] = ()) -> RecordsDiagnosis:
+        seen = merged(seen, idle, check, band, compared, words)
+        return with_days(seen, idle, check, band=band, geometry=geometry, idle_frf=idle_frf, between=between, progress=progress)
+
     if linear is None:
-        return merged(look(), idle, check, band, compared)
+        return told(look())
     notes: list[str] = []
 
     def seen_because(reason: str) -> RecordsDiagnosis | None:
@@ -147,7 +159,7 @@ def diagnose_levels(
             reason, levels = "; ".join(map(str, changing)), True
             seen = seen_because(reason)
     if reason is not None and seen is not None and seen.nonlinear:
-        return merged(seen, idle, check, band, compared, (reason,))
+        return told(seen, (reason,))
     if reason is not None:
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
         doubt = found.verdict == "explained" and (seen is None or levels)
@@ -169,7 +181,7 @@ def diagnose_levels(
         return replace(found, notes=(*found.notes, f"the records were not used: {error.message}"))
     left = [row["heldout_misfit"] for row in seen.ladder]
     if seen.nonlinear and (seen.verdict in SURE or (found.verdict == "no_misfit" and left[-1] < 0.5 * left[0])):
-        return merged(seen, idle, check, band, compared, (reason,) if found.verdict == "no_misfit" else ())
+        return told(seen, (reason,) if found.verdict == "no_misfit" else ())
     return found
 
 
@@ -188,6 +200,45 @@ def merged(
         return seen
     where, by_level = where_and_levels(idle, check, band or idle.band_hz, compared)
     return replace(seen, where=where, by_level=by_level, data=("check_frf", *seen.data))
+
+
+def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun], **options: Any) -> RecordsDiagnosis:
+    """The diagnosis from the records with what differs between the two measurements, or the words why that is not known.
+
+    Gains of sensors and forces are no unknowns of the fit to records. The FRFs of one level are those of the idle model with linear effects
+    and the mean springs and dampers of that level: with these they are fitted again, beginning at the highest level, up to the first one
+    that they explain.
+
+    ``options`` are of :func:`operando.apply_effects`.
+    """
+
+    def unknown(why: str) -> RecordsDiagnosis:
+        return replace(seen, notes=(*seen.notes, f"what differs between the two measurements is not known: {why}"))
+
+    if not check:
+        return unknown("it is estimated from FRFs of the validation measurement, and there are none")
+    left = []
+    for run in sorted(check, key=lambda run: -(run.force_n or 0.0)):
+        try:
+            applied = apply_effects(idle, _linear_at(seen, run), check=run, **options)
+        except OperandoError as error:
+            left.append(f"{run.name}: {error.message}")
+            continue
+        share = float((applied.discrepancy or {}).get("value") or 0.0)
+        if share <= EXPLAINED:
+            return replace(seen, between=applied.between, notes=seen.notes if applied.between else (*seen.notes, UNTOUCHED))
+        left.append(f"{100 * share:.2g} % of the FRFs of {run.name} stay unexplained")
+    mean = " with the mean springs and dampers of its level" if seen.nonlinear else ""
+    return unknown(f"{'; '.join(left)}{mean}; no more than {100 * EXPLAINED:g} % may")
+
+
+def _linear_at(seen: RecordsDiagnosis, run: CheckRun) -> list[Effect]:
+    """The effects as FRFs of a run have them: of level-dependent ones the mean spring and damper of records at its level, or of all."""
+    out: list[Effect] = []
+    for effect, rows in zip(seen.effects, seen.equivalents, strict=True):
+        same = [row for row in rows if run.force_n and one_level(row.level, run.force_n)]
+        out += linear_effects(effect, same or rows) if rows else [effect]
+    return out
 
 
 def with_levels(

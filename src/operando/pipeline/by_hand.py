@@ -192,7 +192,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect], progr
     done = applied.to_dict()
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
-    more = {key: done[key] for key in ("picture", "simulation") if key in done}
+    more = {key: done[key] for key in ("picture", "simulation", "between", "discrepancy") if done.get(key) is not None}
     if isinstance(applied, RecordsApplied):
         more["picture"], notes = with_levels(applied, idle, runs, band or idle.band_hz)
         by_hand["words"] = [*done["words"], *notes]

@@ -109,7 +109,17 @@ def apply_to_records(
         same = equivalents_of(first, stated, steps)
         model = linear_model(idle, stated, same, geometry)
         words = (*_words(stated, rows, better), *notes)
-        return RecordsApplied(model, tuple(stated), tuple(rows), words, judged_on(first), better, picture, simulation, same)
+        return RecordsApplied(
+            model,
+            tuple(stated),
+            tuple(rows),
+            words,
+            judged_on(first),
+            better=better,
+            picture=picture,
+            simulation=simulation,
+            equivalents=same,
+        )
 
 
 def _held(effect: Effect) -> bool:
