@@ -87,8 +87,8 @@ def test_a_stiff_stop_stays_bounded():
 
 def test_what_cannot_be_simulated_is_refused():
     force, _ = truth()
-    with pytest.raises(ConfigError, match="point_mass"):
-        simulate(STRIP.idle(), [Effect("point_mass", ("5+Z",), {"mass": 1.0})], record(force))
+    with pytest.raises(ConfigError, match="gyroscopic"):
+        simulate(STRIP.idle(), [Effect("gyroscopic", ("5+Z", "3+Z"), {"coefficient": 1.0})], record(force))
     silent = TimeRecord(force[None], RATE, (Channel(Dof(2, "Z", 1), "acceleration", "m/s2"),))
     with pytest.raises(DataError, match="no force"):
         simulate(STRIP.idle(), [], silent)

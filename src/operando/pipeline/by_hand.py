@@ -170,9 +170,10 @@ def suggestion(folder: str, results: Results, progress: Progress) -> list[Effect
 def change(folder: ResultsFolder, results: Results, effects: list[Effect], progress: Progress) -> Refit:
     """Refit with these effects, rewrite the folder's errors by step and model, and tell what it did."""
     from operando.compare import with_effect
-    from operando.diagnosis import RecordsApplied, apply_effects, apply_to_records
+    from operando.diagnosis import RecordsApplied, apply_effects
     from operando.diagnosis.at_level import following
     from operando.diagnosis.from_records import need_records, with_levels
+    from operando.diagnosis.masses import apply_with_masses
     from operando.pipeline.outputs import STEP_OUTPUTS
 
     idle = results.idle
@@ -182,13 +183,13 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect], progr
     before = results.diagnosis or {}
     progress("refit", "…")
     options: dict[str, Any] = {"geometry": results.geometry, "progress": lambda message: progress("refit", f"  {message}")}
+    at_rest = None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results))
+    frf_options: dict[str, Any] = {"idle_frf": at_rest, "between": results.settings.get("between") or None}
     if need_records(effects, before.get("data") or ()):
-        records = check_records(str(folder.path), results)
-        applied = apply_to_records(idle, effects, records, band=band or idle.band_hz, exclude_bands=left_out(results), **options)
+        records, bands = check_records(str(folder.path), results), left_out(results)
+        applied = apply_with_masses(idle, effects, records, runs, bands, frf_options, band=band or idle.band_hz, **options)
     else:
-        at_rest = None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results))
-        between = results.settings.get("between") or None
-        applied = apply_effects(idle, effects, check=runs, band=band, idle_frf=at_rest, between=between, **options)
+        applied = apply_effects(idle, effects, check=runs, band=band, **frf_options, **options)
     done = applied.to_dict()
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}

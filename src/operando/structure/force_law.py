@@ -72,7 +72,7 @@ def law_of(effect: Effect, idle: ModalModel) -> tuple[ForceLaw, Real]:
     if not has_restoring_force(effect):
         raise ConfigError(
             f"{effect.kind} has no restoring force of displacement and velocity, so it cannot be simulated in time",
-            hint=f"a level-dependent effect can stand beside others of its sort and {', '.join(LINEAR)}: leave one of the two out",
+            hint=f"beside a level-dependent effect can stand others of its sort, point_mass, {', '.join(LINEAR)}: leave one of the two out",
         )
     if not effect.location:
         raise ConfigError(f"{effect.kind} stands at a position without a sensor: not simulated yet", hint="name measured DOFs")

@@ -12,6 +12,7 @@ from scipy import fft as sfft
 from operando.data import ModalModel, one_level
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
+from operando.structure.added_mass import with_masses
 from operando.structure.effects import Effect
 from operando.structure.force_law import law_of
 from operando.structure.modal_space import Complex, Modes, Real
@@ -120,7 +121,7 @@ def at_level(
     idle : ModalModel
         Of unit modal mass.
     effects : sequence of Effect
-        Level-dependent ones, springs and dampers.
+        Level-dependent ones, springs, dampers and point masses.
     level : float
         rms of the force [N], even over the band.
     reference : DOF
@@ -137,7 +138,7 @@ def at_level(
     Raises
     ------
     DataError
-        If the model has no scale, or no motion belongs to this level: a law that softens without end.
+        If the model has no scale, no motion belongs to this level (a law that softens without end), or a mass cannot be taken away.
     ConfigError
         If an effect has no restoring force of displacement and velocity.
     """
@@ -146,11 +147,12 @@ def at_level(
     if not level > 0:
         raise DataError(f"a force of {level:g} N moves nothing")
     low, high = band or idle.band_hz or (0.6 * float(np.min(idle.frequencies_hz)), 1.1 * float(np.max(idle.frequencies_hz)))
+    idle, acting = with_masses(idle, effects)
     modes = Modes.of(idle).free()
     (row,), (sign,) = match_dofs(tuple(parse_dofs((reference,))), idle.dofs)
-    pairs = [law_of(e, idle) for e in effects]
+    pairs = [law_of(e, idle) for e in acting]
     if not pairs:
-        return []
+        return list(effects)
     modes = modes.only(~np.all([modes.spurious(b, low) for _, b in pairs], axis=0))
     laws, shapes = [law for law, _ in pairs], np.stack([modes.phi.T @ b for _, b in pairs])
     rate = OVER * high
@@ -164,7 +166,6 @@ def at_level(
     still = np.einsum("pn,qn,n->pq", shapes, shapes, 1 / (2 * np.pi * modes.hz) ** 2)
     phases = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=inside.size))
     force = level * samples / np.sqrt(2 * inside.size) * phases
-    level_dependent = np.array([e.definition.level_dependent for e in effects])
     k, c, mean = np.zeros((3, len(laws)))
     mix, last = MIX, np.inf
     before = (np.zeros((2, len(laws))), np.zeros((2, len(laws))))
@@ -201,11 +202,8 @@ def at_level(
         if not (np.all(np.isfinite(k)) and np.all(np.isfinite(c))):
             break
         if converged:
-            return [
-                part
-                for e, own_k, own_c, varies in zip(effects, k, c, level_dependent, strict=True)
-                for part in (as_linear(e, own_k, own_c) if varies else [e])
-            ]
+            own = {id(e): sizes for e, *sizes in zip(acting, k, c, strict=True)}
+            return [part for e in effects for part in (as_linear(e, *own[id(e)]) if e.definition.level_dependent else [e])]
     raise DataError(f"no steady motion was found at {level:g} N", hint="simulate it: operando.structure.simulate with a force record")
 
 

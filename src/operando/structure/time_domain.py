@@ -11,6 +11,7 @@ from scipy import fft as sfft
 from operando.data import Channel, ModalModel, TimeRecord
 from operando.dof import match_dofs, parse_dofs
 from operando.errors import DataError
+from operando.structure.added_mass import with_masses
 from operando.structure.closed_loop import Loop, LoopRecord, follow, max_slope, substeps
 from operando.structure.effects import Effect
 from operando.structure.force_law import law_of
@@ -25,7 +26,7 @@ def simulate(idle: ModalModel, effects: Sequence[Effect], force: TimeRecord, res
     idle : ModalModel
         Of unit modal mass.
     effects : sequence of Effect
-        Level-dependent ones, springs and dampers.
+        Level-dependent ones, springs, dampers and point masses.
     force : TimeRecord
         With force channels at DOFs of the idle model; other channels are not used.
     responses : DOFs, optional
@@ -39,7 +40,7 @@ def simulate(idle: ModalModel, effects: Sequence[Effect], force: TimeRecord, res
     Raises
     ------
     DataError
-        If the idle model has no scale or no force channel is at one of its DOFs.
+        If the idle model has no scale, no force channel is at one of its DOFs, or a mass cannot be taken away.
     ConfigError
         If an effect has no restoring force of displacement and velocity.
     """
@@ -49,6 +50,7 @@ def simulate(idle: ModalModel, effects: Sequence[Effect], force: TimeRecord, res
     if not driven:
         raise DataError("no force channel with a DOF", where=force.name or None)
     wanted = idle.dofs if responses is None else tuple(parse_dofs(responses))
+    idle, effects = with_masses(idle, effects)
     modes = Modes.of(idle).free()
     at, signs = match_dofs(tuple(driven.values()), idle.dofs)
     rows, senses = match_dofs(wanted, idle.dofs)

@@ -24,6 +24,7 @@ from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
 from operando.diagnosis.records.steps import Tried, choose, search_step, settle_law, with_law
 from operando.dof import match_dofs
 from operando.errors import ConfigError, DataError
+from operando.structure import with_masses
 from operando.structure.effects import Effect
 from operando.structure.force_law import ForceLaw, law_of
 from operando.threads import one_blas_thread
@@ -53,7 +54,8 @@ def apply_to_records(
     idle : ModalModel
         Of unit modal mass.
     effects : sequence of Effect
-        Level-dependent ones, springs and dampers; values that an effect fixes are held.
+        Level-dependent ones, springs and dampers; values that an effect fixes are held. Point masses among them come first and are held:
+        they are part of the model that the others are fitted with.
     records : sequence of TimeRecord
         Of the running state with measured force.
     geometry : Geometry, optional
@@ -76,14 +78,21 @@ def apply_to_records(
         raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
     say = progress or (lambda message: None)
     with one_blas_thread():
-        first = make_case(idle, records, band, None, exclude_bands)
+        masses = [e for e in effects if e.kind == "point_mass"]
+        running, effects = with_masses(idle, effects)
+        if not effects and masses:
+            law_of(masses[0], idle)  # refused: records alone size none
+        # The idle model, with one mass more each, and with all of them.
+        models = [with_masses(idle, masses[:k])[0] for k in range(len(masses))]
+        before = [make_case(model, records, band, None, exclude_bands) for model in models]
+        first = make_case(running, records, band, None, exclude_bands)
         held = [not refit or _held(e) for e in effects]
         # The noise of each line is what no force at the best place explains: what is added has no part in it.
         first = weighed(first, rank_places(first, first.places)[0][1])
         tried: list[Tried] = []
         for k, effect in enumerate(effects):
             say(f"fit {effect.kind}" + (f" at {effect.place}" if effect.place else ""))
-            tried.append(_fitted(_with_laws(first, tried), effect, law_of(effect, idle)[0], held[k]))
+            tried.append(_fitted(_with_laws(first, tried), effect, law_of(effect, running)[0], held[k]))
             for _ in range(SWEEPS if k else 0):
                 for i in range(k + 1):
                     others = [t for j, t in enumerate(tried) if j != i]
@@ -91,27 +100,30 @@ def apply_to_records(
         steps = _steps(first, effects, tried)
         weighted = [Weighted.of(r) for r in first.runs]
         errors = [[r.error for r in first.runs], *(t.spot.errors(t.law) for t in steps)]
-        rows = [step_row(0, None, first, weighted, errors[0])]
-        n = len(first.fitted)
+        rows = [
+            step_row(k, masses[k - 1] if k else None, first, weighted, [r.error for r in case.runs])
+            for k, case in enumerate([*before, first])
+        ]
+        n, given = len(first.fitted), len(masses)
         left = [misfit(lines_of(weighted[:n], of_runs[:n])) or 0.0 for of_runs in errors]
         stated: list[Effect] = []
         for k, (effect, t) in enumerate(zip(effects, steps, strict=True)):
             std = {} if held[k] else std_of(t)
             stated.append(replace(effect, values={n: abs(v) for n, v in t.law.values.items()}, std=std))
             # The spot saw the records without the earlier effects already.
-            rows.append(step_row(k + 1, stated[-1], first, weighted, errors[k + 1]))
+            rows.append(step_row(given + k + 1, stated[-1], first, weighted, errors[k + 1]))
             if not held[k] and not effect.removed:
                 refuse_failed(stated[-1], left[k], left[k + 1])
-        better = _better(first, rows, steps, say)
+        better = tuple((given + k, other, chi) for k, other, chi in _better(first, rows[given:], steps, say))
         notes: list[str] = []
         picture = pictures_of(first, stated, steps, notes)
         simulation = simulated(first, steps, notes)
-        same = equivalents_of(first, stated, steps)
-        model = linear_model(idle, stated, same, geometry)
-        words = (*_words(stated, rows, better), *notes)
+        same = ((),) * given + equivalents_of(first, stated, steps)
+        every = (*masses, *stated)
+        words = (*_words(every, rows, better), *notes)
         return RecordsApplied(
-            model,
-            tuple(stated),
+            linear_model(idle, every, same, geometry),
+            every,
             tuple(rows),
             words,
             judged_on(first),
