@@ -12,12 +12,14 @@ import zipfile
 import numpy as np
 import pytest
 
-from operando.data import Frf
+from operando.data import Channel, Frf, TimeRecord
+from operando.dof import Dof
 from operando.errors import ConfigError, FormatError, MissingError
 from operando.io import convert, detect_format, inspect_files, read
 from operando.io.columns import check_columns, propose_columns
 from operando.io.csv import LONGEST_NAME
 from operando.io.frf_table import write_frf_csv
+from operando.io.matlab import write_matlab
 from operando.units import G_STANDARD
 
 RNG = np.random.default_rng(0)
@@ -505,3 +507,31 @@ def test_a_column_name_is_no_longer_than_any_format_has(tmp_path):
         with pytest.raises(FormatError, match=f"at most {LONGEST_NAME} characters"):
             read(tmp_path / "a.csv")
     assert LONGEST_NAME > 256  # the longest names of UFF and TDMS pass
+
+
+@pytest.mark.parametrize(
+    ("beside", "channels"),
+    [
+        ({"names": np.array([f"ch{i}" for i in range(40)], dtype=object)}, 40),
+        ({"units": np.array(["m/s2"] * 40, dtype=object)}, 40),
+        ({"t": np.arange(32) / 256.0}, 40),
+        ({"fs": 256.0}, 32),  # nothing tells: the long side is the time
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_more_channels_than_samples_in_matlab_files(tmp_path, beside, channels, turned):
+    from scipy.io import savemat
+
+    data = np.random.default_rng(0).standard_normal((40, 32))
+    savemat(tmp_path / "a.mat", {"acc": data.T if turned else data, "fs": 256.0} | beside)
+    (record,) = read(tmp_path / "a.mat").records
+    np.testing.assert_array_equal(record.data, data if channels == 40 else data.T)
+
+
+def test_a_short_record_of_many_channels_survives_a_matlab_file(tmp_path):
+    channels = tuple(Channel(Dof(i + 1, "Z", 1), "acceleration", "m/s2") for i in range(40))
+    record = TimeRecord(np.random.default_rng(0).standard_normal((40, 32)), 256.0, channels)
+    write_matlab(tmp_path / "a.mat", record)
+    (again,) = read(tmp_path / "a.mat").records
+    np.testing.assert_array_equal(again.data, record.data)
+    assert [c.dof for c in again.channels] == [c.dof for c in channels]

@@ -274,9 +274,23 @@ def _record(value: NDArray[Any], labels: Sequence[str], unit_texts: Sequence[str
     return replace(record, name=f"{source.where}:{name}")
 
 
+def _channels_first(value: NDArray[Any], variable: Variable, source: Source) -> bool:
+    """Whether the rows of a matrix are channels: by a time vector, or names or units of the channels, that fit one side alone."""
+    rows, columns = value.shape
+    home = variable.home
+    for fits in (
+        lambda n: _beside(variable, source.arrays, _TIME, lambda v: v.size == n) is not None,
+        lambda n: len(source.names.get(home, source.names.get("", []))) != n,
+        lambda n: len(source.unit_texts.get(home, source.unit_texts.get("", []))) != n,
+    ):
+        if fits(rows) != fits(columns):
+            return bool(fits(columns))
+    return rows < columns
+
+
 def _table_record(value: NDArray[Any], variable: Variable, source: Source) -> TimeRecord:
-    """Record of one matrix, its long side the time."""
-    table = value.T if value.shape[0] >= value.shape[1] else value
+    """Record of one matrix: what stands beside it says which side is the time, else it is the long one."""
+    table = value if _channels_first(value, variable, source) else value.T
     sampling = _sampling(variable, source.arrays, table.shape[1], source.rate)
     if sampling is None:
         raise NoRate(source.where, "no sampling rate or time vector beside it")
