@@ -120,40 +120,11 @@ def apply_effects(
             )
     with one_blas_thread():
         run = chosen_run(runs)
-        band = band_asked(band, run.frf) or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
-        known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
-        rest = None if idle_frf is None else at_rest(known, idle_frf, band)
-        known = known if rest is None else rest.idle
-        known, places, geometry = _placed(known, wanted, geometry)
-        kinds = searched(None, poor=rest is not None and rest.state.alpha > EXPLAINED)
-
-        def of_check(model: Idle, spreads: Mapping[str, float]) -> Case:
-            return Case(model, run.frf, band, dict(spreads), kinds=kinds)
-
-        lacking = next((e for e in wanted if e.kind == "missing_mode"), None)
-        if lacking is not None:
-            bare = of_check(known, {})
-            hz = float(lacking.values["frequency"])
-            grown = with_lacking(fit(bare, bare.forward.start), hz)
-            if grown is None:
-                raise DataError(f"no mode near {hz:.4g} Hz adds to the FRFs at their drive points", hint="name another frequency")
-            known = grown
-        terms = [Term.of(e, p) for e, p in zip(wanted, places, strict=True)]
-        # one set-up, or another day: where the test does not say, what explains the check better with all effects; days that would have
-        # to differ by more than days do stand for what is missing
-        states = _steps(of_check(known, spreads_of(between) if between else SAME_SET_UP), terms, say)
-        if not between:
-            other_day = of_check(known, spreads_of({}))
-            if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
-                steps = _steps(other_day, terms, say)
-                states = steps if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence else states
+        states, geometry = fitted_to(idle, wanted, run, say, band=band, geometry=geometry, idle_frf=idle_frf, between=between)
         for last, state in pairwise(states):
             if len(state.terms[-1].fixed) < len(state.terms[-1].values):
                 refuse_failed(effects_of(state)[-1], _left(last, last.alpha), _left(state, last.alpha))
-        final = states[-1]
-        if final.alpha < EXPLAINED:
-            final = fit(final.case, final.x, final.alpha, own_spreads=True)
-        final = most_likely(final)
+        final = estimated(states[-1])
         rows = ladder(final)
         words = []
         for k, state in enumerate(states[1:], 1):
@@ -174,6 +145,53 @@ def apply_effects(
             tuple(between_rows(final)),
             discrepancy_row(final),
         )
+
+
+def fitted_to(
+    idle: ModalModel,
+    effects: Sequence[Effect],
+    run: CheckRun,
+    say: Callable[[str], None],
+    *,
+    band: tuple[float, float] | None,
+    geometry: Geometry | None,
+    idle_frf: Frf | None,
+    between: Mapping[str, float] | None,
+) -> tuple[list[State], Geometry | None]:
+    """Fits to FRFs of the idle model with none of the effects, the first one, and so on; and the geometry with their positions."""
+    band = band_asked(band, run.frf) or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
+    known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
+    rest = None if idle_frf is None else at_rest(known, idle_frf, band)
+    known = known if rest is None else rest.idle
+    known, places, geometry = _placed(known, effects, geometry)
+    kinds = searched(None, poor=rest is not None and rest.state.alpha > EXPLAINED)
+
+    def of_check(model: Idle, spreads: Mapping[str, float]) -> Case:
+        return Case(model, run.frf, band, dict(spreads), kinds=kinds)
+
+    lacking = next((e for e in effects if e.kind == "missing_mode"), None)
+    if lacking is not None:
+        bare = of_check(known, {})
+        hz = float(lacking.values["frequency"])
+        grown = with_lacking(fit(bare, bare.forward.start), hz)
+        if grown is None:
+            raise DataError(f"no mode near {hz:.4g} Hz adds to the FRFs at their drive points", hint="name another frequency")
+        known = grown
+    terms = [Term.of(e, p) for e, p in zip(effects, places, strict=True)]
+    # one set-up, or another day: where the test does not say, what explains the check better with all effects; days that would have
+    # to differ by more than days do stand for what is missing
+    states = _steps(of_check(known, spreads_of(between) if between else SAME_SET_UP), terms, say)
+    if not between:
+        other_day = of_check(known, spreads_of({}))
+        if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
+            steps = _steps(other_day, terms, say)
+            states = steps if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence else states
+    return states, geometry
+
+
+def estimated(state: State) -> State:
+    """The state with what a test does not state estimated: spreads of what differs between the days, and the discrepancy."""
+    return most_likely(fit(state.case, state.x, state.alpha, own_spreads=True) if state.alpha < EXPLAINED else state)
 
 
 def _placed(idle: Idle, effects: Sequence[Effect], geometry: Geometry | None) -> tuple[Idle, list[tuple[int, ...]], Geometry | None]:

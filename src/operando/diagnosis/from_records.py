@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
+from operando.diagnosis.another_day import day_of
 from operando.diagnosis.at_level import level_picture
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
+from operando.diagnosis.from_frf import chosen_run
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
@@ -35,6 +37,10 @@ UNTOUCHED = (
     "the validation FRFs are as probable with nothing touched between the idle and the operating measurement; gains, positions of "
     "sensors, temperature and damping count as the same"
 )
+
+OF_A_DAY = "the records are compared with the idle model as it is on another day: what differs comes from the FRFs of {run}"
+DAYS = 2
+"""Times that the day is found: beside nothing, and beside the mean springs and dampers of what the records say then."""
 
 SURE = ("explained", "no_misfit", "ambiguous")
 
@@ -117,14 +123,33 @@ def diagnose_levels(
     ``linear`` makes the diagnosis from the check FRFs; None where there are none, and the records alone decide.
     """
 
+    of_frfs: dict[str, Any] = {"band": band, "geometry": geometry, "idle_frf": idle_frf, "between": between}
+    of_records: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "exclude_bands": exclude_bands}
+
     def look() -> RecordsDiagnosis:
-        return diagnose_records(
-            idle, records, geometry=geometry, kinds=kinds, places=places, band=band, exclude_bands=exclude_bands, progress=progress
-        )
+        """Against the idle model as it is; where that does not explain the records, against it on the day of the lowest level's FRFs."""
+        seen = diagnose_records(idle, records, progress=progress, **of_records)
+        effects: Sequence[Effect] = ()
+        for _ in range(DAYS):
+            if (seen.verdict in SURE and not effects) or not check:
+                break
+            run = chosen_run(check)
+            try:
+                day = day_of(idle, effects, run, progress, **of_frfs)
+                if day is None:
+                    break
+                if progress:
+                    progress(f"look at the records with what differs between the days by {run.name}")
+                other = diagnose_records(day.idle, records, progress=progress, seen=day.seen, **of_records)
+            except OperandoError as error:
+                return replace(seen, notes=(*seen.notes, f"records and what differs between the days: {error.message}"))
+            if not _says_more(other, seen):
+                break
+            seen, effects = replace(other, notes=(*other.notes, OF_A_DAY.format(run=run.name))), _linear_at(other, run)
+        return seen
 
     def told(seen: RecordsDiagnosis, words: Sequence[str] = ()) -> RecordsDiagnosis:
-        seen = merged(seen, idle, check, band, compared, words)
-        return with_days(seen, idle, check, band=band, geometry=geometry, idle_frf=idle_frf, between=between, progress=progress)
+        return with_days(merged(seen, idle, check, band, compared, words), idle, check, progress=progress, **of_frfs)
 
     if linear is None:
         return told(look())
@@ -183,6 +208,14 @@ def diagnose_levels(
     if seen.nonlinear and (seen.verdict in SURE or (found.verdict == "no_misfit" and left[-1] < 0.5 * left[0])):
         return told(seen, (reason,) if found.verdict == "no_misfit" else ())
     return found
+
+
+def _says_more(one: RecordsDiagnosis, other: RecordsDiagnosis) -> bool:
+    """Whether the records say more of level-dependent effects in one diagnosis: surely, or more of what is left on the hold-out set."""
+    if not one.nonlinear or not other.nonlinear:
+        return bool(one.nonlinear)
+    left = [(d.verdict not in SURE, d.ladder[-1]["heldout_misfit"]) for d in (one, other)]
+    return left[0] < left[1]
 
 
 def merged(

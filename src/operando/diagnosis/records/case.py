@@ -11,7 +11,7 @@ import numpy as np
 from operando.data import ModalModel, TimeRecord, one_level
 from operando.diagnosis.records.out_of_band import Doubt
 from operando.diagnosis.records.place import Weighted
-from operando.diagnosis.records.run import Run, make_run
+from operando.diagnosis.records.run import Run, Seen, make_run
 from operando.errors import MissingError
 from operando.structure.modal_space import Modes, Real
 
@@ -76,14 +76,15 @@ def make_case(
     band: tuple[float, float] | None = None,
     places: Sequence[Sequence[int]] | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
+    seen: Seen | None = None,
 ) -> RecordsCase:
-    """Runs, levels and places; lines inside ``exclude_bands`` [Hz] are not used."""
+    """Runs, levels and places; lines inside ``exclude_bands`` [Hz] are not used; ``seen`` as in :func:`make_run`."""
     if not records:
         raise MissingError("no record of the running structure with a measured force")
     modes = Modes.of(idle)
     proper = idle.frequencies_hz[np.asarray(idle.in_band)]
     band = band or idle.band_hz or (0.6 * float(proper.min()), 1.08 * float(proper.max()))
-    runs = [make_run(r, idle, modes, band).without(exclude_bands) for r in records]
+    runs = [make_run(r, idle, modes, band, seen).without(exclude_bands) for r in records]
     modes = replace(modes, grounded=contradicted(runs, modes))
     fitted: list[Run] = []
     validation: list[Run] = []

@@ -13,6 +13,7 @@ from operando.diagnosis.records.conclude import conclude
 from operando.diagnosis.records.detect import detect, distortion
 from operando.diagnosis.records.refine import refined
 from operando.diagnosis.records.result import RecordsDiagnosis
+from operando.diagnosis.records.run import Seen
 from operando.diagnosis.records.steps import SearchStep, Tried, choose, improves, search_step, with_law
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
@@ -34,6 +35,7 @@ def diagnose_records(
     band: tuple[float, float] | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
     progress: Callable[[str], None] | None = None,
+    seen: Seen | None = None,
 ) -> RecordsDiagnosis:
     """Name the level-dependent effect that is missing in the idle model in records of the running state with measured force.
 
@@ -56,6 +58,9 @@ def diagnose_records(
         Lines left out [Hz], as those of a rotor's orders.
     progress : callable, optional
         Told what is being done.
+    seen : callable, optional
+        What the sensors show with nothing missing, where they were put back on another day: from lines (L,) [Hz], rows (q,) of the idle
+        model that are measured and rows (k,) that are driven to accelerances (L, q, k). Default what the idle model predicts there.
 
     Returns
     -------
@@ -71,7 +76,7 @@ def diagnose_records(
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so it predicts no response to fail", hint="give the units of force and acceleration")
     with one_blas_thread():
-        case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands)
+        case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands, seen)
         wanted = wanted_kinds(kinds)
         return _diagnose(case, wanted, geometry, progress)
 

@@ -7,7 +7,7 @@ is linear and known, so this holds on every line of an unwindowed record.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,6 +31,10 @@ SLACK = 5.0
 
 OWN_STRIDE = 4
 """The idle model's own variance is computed on one line of so many: resonances are wider."""
+
+
+Seen = Callable[[Real, NDArray[np.int_], Sequence[int]], Complex | None]
+"""Accelerances (L, q, k) on lines [Hz] that the sensors at rows of the idle model show, with forces at other rows and nothing missing."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +105,11 @@ class Run:
         return np.asarray(self.decay_shapes @ (amplitudes[:, None] * self.decays))
 
 
-def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[float, float]) -> Run:
+def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[float, float], seen: Seen | None = None) -> Run:
     """Spectra of one record and what the idle model (``modes``: as arrays) leaves of its responses on the lines of a band [Hz].
 
-    Velocities and displacements are brought to accelerations by powers of iω.
+    Velocities and displacements are brought to accelerations by powers of iω. ``seen`` stands for the idle model where sensors show
+    something else than its shapes.
     """
     known = {d.key for d in idle.dofs}
     where = record.name or None
@@ -139,8 +144,12 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     rows_ = np.asarray(rows)
     directions = np.zeros((len(at), len(idle.dofs)))
     directions[np.arange(len(at)), np.asarray(at)] = 1.0
-    drive = (directions @ modes.phi).T @ forces[:, lines]
-    error = responses[:, lines] + (2 * np.pi * f) ** 2 * (modes.phi[rows_] @ (kernel * drive))
+    shown = None if seen is None else seen(f, rows_, at)
+    if shown is None:
+        drive = (directions @ modes.phi).T @ forces[:, lines]
+        predicted = -((2 * np.pi * f) ** 2) * (modes.phi[rows_] @ (kernel * drive))
+    else:
+        predicted = np.einsum("lqk,kl->ql", shown, forces[:, lines])
     ringing = modes.ringing(record.sampling_hz)
     decays = free_decays(f, modes.poles[ringing], 1 / record.sampling_hz)
     shapes = modes.phi[np.ix_(rows_, ringing)]
@@ -158,7 +167,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         lines,
         f,
         kernel,
-        error,
+        responses[:, lines] - predicted,
         START_NOISE**2 * level + own,
         own,
         decays,
