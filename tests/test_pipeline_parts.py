@@ -14,7 +14,7 @@ import models
 from measurements import record, running_chain
 from operando.atomic import write_json
 from operando.config import Analysis, State, Test
-from operando.data import Finding, Provenance, force_rms, level_groups
+from operando.data import Finding, ModalModel, Provenance, force_rms, level_groups
 from operando.errors import DataError, WriteError
 from operando.frf import merge_frfs
 from operando.io import write_uff
@@ -23,6 +23,7 @@ from operando.pipeline.folder import key_of
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.levels import check_frfs
 from operando.pipeline.stages import Work, runs_behind
+from operando.pipeline.stages.compare import comparison
 from operando.pipeline.stages.oma import operational_modes
 from operando.results import Results
 
@@ -214,3 +215,18 @@ def test_what_two_validation_runs_say_unlike_names_its_level():
     assert of_check(runs[:1])[0].frf.findings[0].message == "validation measurement: H differ by 19 %"
     given = [replace(run, level="as given") for run in runs]
     assert of_check(given)[0].frf.findings[0].message.startswith("validation measurement a: ")
+
+
+@pytest.mark.parametrize(("dofs", "compared"), [("3+Z", False), ("1-Z", True)])
+def test_a_model_without_a_measured_pair_does_not_stop_the_comparison(dofs, compared):
+    """Such as OFRFs of one sensor that is left of a damaged operating record."""
+    found = models.results()
+    whole = found.hybrid.modal
+    (row,) = whole.rows(dofs)
+    one = ModalModel(whole.frequencies_hz, whole.damping_ratios, row[None], dofs, "unit_modal_mass", band_hz=whole.band_hz)
+    found.hybrid = SimpleNamespace(modal=one, alternative_models={})
+    work = SimpleNamespace(results=found, analysis=SimpleNamespace(band=None, exclude_bands=()))
+    made = comparison(work)
+    assert list(made["comparison"]["models"]) == ["idle", "ofrf"][: 1 + compared]
+    told = [f.message for f in made["findings"] if f.kind == "baseline_failed"]
+    assert ("ofrf holds no response–reference pair of the validation measurement (its DOFs: 3+Z)" in told) is not compared

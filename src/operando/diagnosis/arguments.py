@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from operando.data import Frf, ModalModel, positive_band, several
+from operando.diagnosis.terms import AT_ONE_LOCATION, IN_FRFS, SEARCHED
 from operando.dof import match_dofs, parse_dofs
-from operando.errors import DataError
+from operando.errors import ConfigError, DataError
 from operando.limits import LEAST_LINES
 from operando.results import CheckRun
 from operando.structure.effects import kind_of
@@ -63,3 +64,21 @@ def band_asked(band: Any, frf: Frf) -> tuple[float, float] | None:
             hint="choose another band",
         )
     return low, high
+
+
+def chosen_run(check: Sequence[CheckRun]) -> CheckRun:
+    """The run of the lowest level with the most finite values."""
+    from operando.compare.comparison import lowest_level
+
+    level = lowest_level(check)
+    return max((r for r in check if r.level == level), key=lambda r: int(np.isfinite(r.frf.data).sum()))
+
+
+def searched(kinds: Sequence[str] | None, poor: bool = False) -> tuple[str, ...]:
+    """Kinds to look for; where none are named and the idle model is a poor one, those at one location."""
+    if kinds is None:
+        return AT_ONE_LOCATION if poor else SEARCHED
+    known = [k for k in kinds if kind_of(k).acts in IN_FRFS]
+    if not known:
+        raise ConfigError(f"none of the kinds {', '.join(kinds)} can be found from FRFs", hint="name linear kinds, or give records")
+    return tuple(known)

@@ -10,7 +10,7 @@ import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, expect, positive_band, several
 from operando.diagnosis.applied import Applied, failed, refuse_failed, words_of
-from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, validation_runs
+from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, chosen_run, searched, validation_runs
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
@@ -18,7 +18,6 @@ from operando.diagnosis.criteria import EXPLAINED, LOOSE, MOST_CHI_SQUARE, toler
 from operando.diagnosis.days import strained
 from operando.diagnosis.discrepancy import discrepancy_row, most_likely
 from operando.diagnosis.document import between_rows, judged_on, ladder, step_row
-from operando.diagnosis.from_frf import chosen_run, searched
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, located, with_midway

@@ -6,11 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from operando.compare import FOUND
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
-from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, kinds_asked, places_asked, validation_runs
+from operando.diagnosis.arguments import (
+    UNKNOWN_UNITS,
+    band_asked,
+    chosen_run,
+    kinds_asked,
+    places_asked,
+    searched,
+    validation_runs,
+)
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
@@ -45,7 +51,7 @@ from operando.diagnosis.search import DEPTH, WAYS, search
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.suggested import suggested_by_modes
-from operando.diagnosis.terms import AT_ONE_LOCATION, IN_FRFS, SEARCHED, Term, touched
+from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, Term, touched
 from operando.diagnosis.verdict import (
     explains_lines,
     misses_idle_frfs,
@@ -56,7 +62,7 @@ from operando.diagnosis.verdict import (
     verdict_and_reason,
     with_validation,
 )
-from operando.errors import ConfigError, DataError, MissingError
+from operando.errors import DataError, MissingError
 from operando.frf import in_one_sense, opposed_dofs
 from operando.results import CheckRun
 from operando.threads import one_blas_thread
@@ -306,26 +312,6 @@ def diagnose(
             hint="diagnose(idle, check=frf) or diagnose(idle, operating=modes)",
         )
     return found if all(run.frf.si for run in runs) else replace(found, notes=(UNKNOWN_UNITS, *found.notes))
-
-
-def chosen_run(check: Sequence[CheckRun]) -> CheckRun:
-    """The run of the lowest level with the most finite values."""
-    from operando.compare.comparison import lowest_level
-
-    level = lowest_level(check)
-    return max((r for r in check if r.level == level), key=lambda r: int(np.isfinite(r.frf.data).sum()))
-
-
-def searched(kinds: Sequence[str] | None, poor: bool = False) -> tuple[str, ...]:
-    """Kinds to look for; where none are named and the idle model is a poor one, those at one location."""
-    from operando.structure.effects import kind_of
-
-    if kinds is None:
-        return AT_ONE_LOCATION if poor else SEARCHED
-    known = [k for k in kinds if kind_of(k).acts in IN_FRFS]
-    if not known:
-        raise ConfigError(f"none of the kinds {', '.join(kinds)} can be found from FRFs", hint="name linear kinds, or give records")
-    return tuple(known)
 
 
 def told(
