@@ -15,6 +15,7 @@ from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import (
+    ALIKE_CURVES,
     AS_AT_REST,
     BETWEEN_STD,
     COMMON_BETWEEN,
@@ -720,15 +721,20 @@ def test_runs_of_two_levels_are_one_system_within_twice_their_noise(apart, one):
     assert not levels_disagree([runs[0], replace(runs[1], level="1 N")], BAND)
 
 
-@pytest.mark.parametrize(("share", "separate"), [(0.9, False), (1.1, True)])
-def test_a_mode_within_the_half_power_width_of_another_is_not_lacking(share, separate):
+@pytest.mark.parametrize(
+    ("away", "damped", "separate"),
+    [(0.9, 1.0, False), (1.1, 1.0, True), (0.0, 1 / 5, False), (0.0, 1 / 7, True)],
+)
+def test_a_mode_whose_curve_is_that_of_another_is_not_lacking(away, damped, separate):
+    """By ``ALIKE_CURVES``: apart by its half-power width, or on the hump of a mode damped 3 + 2√2 times as much."""
     one = case()
     r = 2
     width = 2 * one.idle.zeta[r]
-    grown = _grown(fit(one, one.forward.start), one.idle.f[r] * (1 + share * width), one.idle.zeta[r], np.ones(N))
+    grown = _grown(fit(one, one.forward.start), one.idle.f[r] * (1 + away * width), damped * one.idle.zeta[r], np.ones(N))
     case_of = Case(grown, rest(), BAND, correlated=1.0)
     state = SimpleNamespace(case=case_of, terms=case_of.idle.lacking_term)
     assert apart(state) is separate
+    assert ALIKE_CURVES == pytest.approx(4 * (3 + 2 * np.sqrt(2)) / (4 + 2 * np.sqrt(2)) ** 2)
     assert apart(SimpleNamespace(case=case_of, terms=()))  # explained without it
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import EARNED
+from operando.diagnosis.criteria import ALIKE_CURVES, EARNED
 from operando.diagnosis.found import Found
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
@@ -72,11 +72,17 @@ def with_mode(
 
 
 def apart(state: State) -> bool:
-    """Whether a mode that was lacking lies beyond the half-power widths of all others: nearer, it may be one of them that differs."""
+    """Whether a mode that was lacking is no other one that differs: the curve of no mode is nearer to its own than half-power widths apart.
+
+    Curves 1/(iω − λ) have the squared correlation 4 σ₁σ₂ / ((σ₁ + σ₂)² + (ω₁ − ω₂)²) with σ = ζω over all frequencies: ½ for modes of one
+    damping that are apart by their half-power width. A sharp peak on the hump of a mode that is damped six times as much is below that.
+    """
     idle = state.case.idle
     others = [r for r in idle.modes if r != idle.lacking]
     mode = next((t for t in state.terms if t.kind == "missing_mode"), None)
     if mode is None:
         return True
     f, zeta = (float(np.exp(v)) for v in mode.values)
-    return bool(np.all(np.abs(idle.f[others] / f - 1) > 2 * np.maximum(idle.zeta[others], zeta)))
+    loss, others_loss = zeta * f, idle.zeta[others] * idle.f[others]
+    alike = 4 * loss * others_loss / ((loss + others_loss) ** 2 + (idle.f[others] - f) ** 2)
+    return bool(np.all(alike < ALIKE_CURVES))
