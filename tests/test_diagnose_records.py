@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from operando.diagnosis import diagnose, from_records
+from operando.diagnosis import another_day, diagnose, from_records
 from operando.diagnosis.from_records import DISTORTION, beyond_rest, standing, suspicion, suspicion_at
 from operando.diagnosis.records import steps
 from operando.frf import estimate_frf
@@ -91,7 +91,8 @@ def test_distortion_at_the_location_of_an_effect_is_suspicious(share, kind, susp
 
 @pytest.mark.parametrize("nonlinear", [True, False])
 def test_where_the_location_of_an_effect_is_distorted_the_records_are_looked_at(monkeypatch, nonlinear):
-    linear, seen = found("spring"), SimpleNamespace(nonlinear=("bilinear_stiffness",) * nonlinear)
+    linear, seen = found("spring"), SimpleNamespace(nonlinear=("bilinear_stiffness",) * nonlinear, effects=(), equivalents=())
+    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
     monkeypatch.setattr(from_records, "suspicion_at", lambda effects, check, idle_frf: "the response at 4+Z holds 5 times as much")
     monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: seen)
@@ -163,7 +164,8 @@ def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, 
     said = "runs of different level disagree" if levels else "the responses hold more than at rest"
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: said)
     monkeypatch.setattr(from_records, "levels_disagree", lambda check: levels)
-    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=()))
+    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=(), effects=(), equivalents=()))
+    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
     linear = found("spring")
     assert linear.verdict == "explained"
     ladder = (*linear.ladder[:-1], {**linear.ladder[-1], "heldout_misfit": left})
@@ -244,3 +246,67 @@ def test_where_frfs_do_not_tell_what_differs_it_is_said(monkeypatch):
         assert (made.between == ()) == known
         (note,) = made.notes
         assert note == from_records.UNTOUCHED if known else "3.1 % of the FRFs" in note
+
+
+GAINS = 1 + 0.05 * np.random.default_rng(8).standard_normal(8)
+
+
+def with_gains(name):
+    out = []
+    for record in records()[name]:
+        data = np.array(record.data, float)
+        data[list(record.response_indices)] *= GAINS[:, None]
+        out.append(replace(record, data=data))
+    return out
+
+
+def test_a_day_shows_what_its_sensors_show():
+    idle = STRIP.idle()
+    (run,) = check_frfs(with_gains("none"), lambda part: estimate_frf(part, estimator="lrm"))
+    options = {"band": BAND, "geometry": None, "idle_frf": at_rest(), "between": {"sensor_gain": 0.05}}
+    day = another_day.day_of(idle, (), run, **options)
+    hz, rows = np.linspace(*BAND, 50), np.arange(8)
+    wanted = GAINS[:, None] * idle.frf(hz, references=("2+Z",), quantity="accelerance", variance=False).data[:, 0]
+    sensor, force = day.gains
+    shown = day.seen(hz, rows, (1,))[:, :, 0].T * sensor[:, None] / force[0]
+    assert np.linalg.norm(shown - wanted) < 0.1 * np.linalg.norm(wanted - wanted / GAINS[:, None])
+    ratio = (sensor[:, None] / force) / GAINS[:, None]
+    assert np.abs(ratio - 1).max() < 0.01
+    first = with_gains("none")[0]
+    np.testing.assert_allclose(day.corrected(first).data[first.response_indices[0]] * sensor[0], first.data[first.response_indices[0]])
+    assert day.seen(hz, rows, (0,)) is None
+    assert another_day.day_of(idle, (), frfs("none")[0], **options | {"between": None}) is None
+
+
+@pytest.mark.parametrize(
+    ("verdict", "error_db", "taken"),
+    [("explained", 0.9, True), ("partial", 0.4, True), ("partial", 0.6, False), ("unexplained", None, False)],
+)
+def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, verdict, error_db, taken):
+    """First a law beside which 0.5 dB are left, `partial`; then with the day of the lowest level beside its mean spring."""
+    mean = Effect("ground_spring", ("5+Z",), {"stiffness": 2e3})
+    monkeypatch.setattr(from_records, "_linear_at", lambda seen, run: [mean])
+    monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
+    monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
+    asked = []
+
+    def day_of(idle, effects, run, progress, **options):
+        asked.append((list(effects), run.force_n))
+        return SimpleNamespace(idle="idle of the day", seen="seen", corrected=lambda record: f"{record} corrected")
+
+    def looked(idle, records, seen=None, **options):
+        now = found("clearance")
+        if seen is None:
+            return replace(now, verdict="partial", ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": 0.5}), notes=())
+        assert (idle, records[0], seen) == ("idle of the day", "run corrected", "seen")
+        effects = now.effects if error_db is not None else ()
+        return replace(
+            now, verdict=verdict, effects=effects, ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": error_db}), notes=()
+        )
+
+    monkeypatch.setattr(from_records, "day_of", day_of)
+    monkeypatch.setattr(from_records, "diagnose_records", looked)
+    made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
+    assert (made.verdict, bool(made.notes)) == ((verdict, True) if taken else ("partial", False))
+    assert asked[0] == ([mean], min(run.force_n for run in frfs("clearance")))
+    assert len(asked) == (from_records.DAYS if taken else 1)

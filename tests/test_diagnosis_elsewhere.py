@@ -734,7 +734,7 @@ def test_a_mode_whose_curve_is_that_of_another_is_not_lacking(away, damped, sepa
     case_of = Case(grown, rest(), BAND, correlated=1.0)
     state = SimpleNamespace(case=case_of, terms=case_of.idle.lacking_term)
     assert apart(state) is separate
-    assert ALIKE_CURVES == pytest.approx(4 * (3 + 2 * np.sqrt(2)) / (4 + 2 * np.sqrt(2)) ** 2)
+    assert pytest.approx(4 * (3 + 2 * np.sqrt(2)) / (4 + 2 * np.sqrt(2)) ** 2) == ALIKE_CURVES
     assert apart(SimpleNamespace(case=case_of, terms=()))  # explained without it
 
 

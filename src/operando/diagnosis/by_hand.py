@@ -156,8 +156,12 @@ def fitted_to(
     geometry: Geometry | None,
     idle_frf: Frf | None,
     between: Mapping[str, float] | None,
+    may_strain: bool = False,
 ) -> tuple[list[State], Geometry | None]:
-    """Fits to FRFs of the idle model with none of the effects, the first one, and so on; and the geometry with their positions."""
+    """Fits to FRFs of the idle model with none of the effects, the first one, and so on; and the geometry with their positions.
+
+    Days that would have to differ by more than days do stand for what is missing, and only ``may_strain`` takes them.
+    """
     band = band_asked(band, run.frf) or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
     known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
     rest = None if idle_frf is None else at_rest(known, idle_frf, band)
@@ -177,14 +181,14 @@ def fitted_to(
             raise DataError(f"no mode near {hz:.4g} Hz adds to the FRFs at their drive points", hint="name another frequency")
         known = grown
     terms = [Term.of(e, p) for e, p in zip(effects, places, strict=True)]
-    # one set-up, or another day: where the test does not say, what explains the check better with all effects; days that would have
-    # to differ by more than days do stand for what is missing
+    # one set-up, or another day: where the test does not say, what explains the check better with all effects
     states = _steps(of_check(known, spreads_of(between) if between else SAME_SET_UP), terms, say)
     if not between:
         other_day = of_check(known, spreads_of({}))
         if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
             steps = _steps(other_day, terms, say)
-            states = steps if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence else states
+            usual = may_strain or not strained(steps[-1])
+            states = steps if usual and steps[-1].log_evidence > states[-1].log_evidence else states
     return states, geometry
 
 

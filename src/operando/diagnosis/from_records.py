@@ -10,10 +10,10 @@ import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
 from operando.diagnosis.another_day import day_of
+from operando.diagnosis.arguments import chosen_run
 from operando.diagnosis.at_level import level_picture
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
-from operando.diagnosis.from_frf import chosen_run
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
@@ -40,7 +40,7 @@ UNTOUCHED = (
 
 OF_A_DAY = "the records are compared with the idle model as it is on another day: what differs comes from the FRFs of {run}"
 DAYS = 2
-"""Times that the day is found: beside nothing, and beside the mean springs and dampers of what the records say then."""
+"""Times that the day is found: beside what is known first, and beside what the records say then; a third moved no value (six cases)."""
 
 SURE = ("explained", "no_misfit", "ambiguous")
 
@@ -127,25 +127,27 @@ def diagnose_levels(
     of_records: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "exclude_bands": exclude_bands}
 
     def look() -> RecordsDiagnosis:
-        """Against the idle model as it is; where that does not explain the records, against it on the day of the lowest level's FRFs."""
+        """Against the idle model as it is, then as it is on the day of the lowest level's FRFs where these speak of another one."""
         seen = diagnose_records(idle, records, progress=progress, **of_records)
-        effects: Sequence[Effect] = ()
+        return on_that_day(seen, _linear_at(seen, chosen_run(check))) if check else seen
+
+    def on_that_day(seen: RecordsDiagnosis, effects: Sequence[Effect]) -> RecordsDiagnosis:
+        """The day beside linear effects, then beside the mean springs and dampers of what the records say then, while they say more."""
+        run = chosen_run(check)
         for _ in range(DAYS):
-            if (seen.verdict in SURE and not effects) or not check:
-                break
-            run = chosen_run(check)
             try:
                 day = day_of(idle, effects, run, progress, **of_frfs)
                 if day is None:
                     break
                 if progress:
                     progress(f"look at the records with what differs between the days by {run.name}")
-                other = diagnose_records(day.idle, records, progress=progress, seen=day.seen, **of_records)
+                other = diagnose_records(day.idle, [day.corrected(r) for r in records], progress=progress, seen=day.seen, **of_records)
             except OperandoError as error:
                 return replace(seen, notes=(*seen.notes, f"records and what differs between the days: {error.message}"))
             if not _says_more(other, seen):
                 break
-            seen, effects = replace(other, notes=(*other.notes, OF_A_DAY.format(run=run.name))), _linear_at(other, run)
+            seen = replace(other, notes=(*other.notes, OF_A_DAY.format(run=run.name)))
+            effects = _linear_at(other, run)
         return seen
 
     def told(seen: RecordsDiagnosis, words: Sequence[str] = ()) -> RecordsDiagnosis:
@@ -183,6 +185,9 @@ def diagnose_levels(
         if changing:
             reason, levels = "; ".join(map(str, changing)), True
             seen = seen_because(reason)
+        if check and seen is not None and not seen.nonlinear and found.effects:
+            # What stands for the law at the lowest level leaves the day as it is.
+            seen = on_that_day(seen, found.effects)
     if reason is not None and seen is not None and seen.nonlinear:
         return told(seen, (reason,))
     if reason is not None:
@@ -211,10 +216,13 @@ def diagnose_levels(
 
 
 def _says_more(one: RecordsDiagnosis, other: RecordsDiagnosis) -> bool:
-    """Whether the records say more of level-dependent effects in one diagnosis: surely, or more of what is left on the hold-out set."""
+    """Whether one diagnosis says more of level-dependent effects: surely, or with less error on the hold-out set.
+
+    In dB, for what differs between the days counts as noise where it is not known: chi-squares are not of one noise.
+    """
     if not one.nonlinear or not other.nonlinear:
         return bool(one.nonlinear)
-    left = [(d.verdict not in SURE, d.ladder[-1]["heldout_misfit"]) for d in (one, other)]
+    left = [(d.verdict not in SURE, d.ladder[-1]["heldout_error_db"]) for d in (one, other)]
     return left[0] < left[1]
 
 
