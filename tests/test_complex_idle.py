@@ -13,10 +13,14 @@ from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.complex_idle import EARNED, _tied
 from operando.diagnosis.force_noise import common_variance, moved_by_force_noise
-from operando.diagnosis.idle import NEAR, Idle
+from operando.diagnosis.found import Found
+from operando.diagnosis.idle import NEAR, Idle, Moves
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.poles import poles
 from operando.diagnosis.posterior import at_rest, fit
+from operando.diagnosis.problem import Problem
+from operando.diagnosis.rival import started
+from operando.diagnosis.search import Search
 from operando.diagnosis.terms import Term
 from test_coupling import HZ, chain, whole
 from test_diagnosis import BAND, DOFS, N, case, complex_modes, identified, matrices, measured, modes
@@ -314,3 +318,102 @@ def test_intervals_of_the_poles_hold_what_the_noise_of_the_forces_does():
     inside, without = (np.mean(np.abs(rows) < 1.96) for rows in (off, off_without))
     assert 0.9 < inside < 0.99
     assert without < 0.8  # each response counted for itself
+
+
+def with_idle_lines(seed=0):
+    """A spring more to ground in operation, and a case with the lines of the idle FRFs beside the prior that was made of them."""
+    mass, damping, stiff, *_ = chain()
+    more = stiff.copy()
+    more[1, 1] += 0.02 * stiff[1, 1]
+    rest = at_rest(Idle.of(real_modes(), BAND, DOFS[:1]), measured(mass, damping, stiff, (0,), 2e-3, 2 * seed), BAND)
+    check = measured(mass, damping, more, (0,), 2e-3, 2 * seed + 1)
+    one = Case(rest.idle, check, BAND, SAME_SET_UP, correlated=rest.correlated, fitted=rest.fitted)
+    return one, (Term("ground_spring", (1,), (float(np.log(0.02 * stiff[1, 1])),)),)
+
+
+def test_the_idle_frfs_say_what_the_normal_prior_says_near_its_mean():
+    one, terms = with_idle_lines()
+    exact = one.exactly()
+    assert one.exactly().idle_lines is exact.idle_lines  # made once
+    assert exact.exactly() is exact
+    problem = Problem(exact, terms, exact.lines.fit)
+    at_rest_ = problem.packed(replace(exact.forward.start, u=np.zeros(problem.n_u), terms=terms))
+    rng = np.random.default_rng(0)
+    g, own = rng.standard_normal(exact.forward.n_g), rng.standard_normal(exact.forward.start.own.shape)
+    away = problem.packed(replace(problem.point(at_rest_), g=g, own=own))
+    straight = Problem(exact, terms, exact.lines.fit, straight=True)
+
+    def beyond(share):
+        x = at_rest_ * (1 - share) + away * share
+        return problem.penalty(x) - straight.penalty(x)
+
+    assert beyond(0.0) == 0
+    assert abs(beyond(1e-3)) < 1e-6  # of third order
+    assert beyond(1.0) > 10  # and far off, FRFs that were not measured
+    # all that the prior knows and more is in the lines: their information is nowhere larger than its own
+    problem.derived(at_rest_)
+    assert np.abs(problem.idle.information.shared).max() < 1e-6
+    known = exact.idle_lines.known
+    assert np.linalg.eigvalsh(np.tril(known.shared) + np.tril(known.shared, -1).T).max() < 1 + 1e-6
+
+
+def test_the_gradient_with_idle_frfs_is_that_of_differences():
+    one, terms = with_idle_lines()
+    exact = one.exactly()
+    problem = Problem(exact, terms, exact.lines.fit)
+    rng = np.random.default_rng(1)
+    start = replace(exact.forward.start, u=np.zeros(problem.n_u), terms=terms)
+    g, own = 0.5 * rng.standard_normal(start.g.size), 0.5 * rng.standard_normal(start.own.shape)
+    x = problem.packed(replace(start, g=g, own=own))
+    problem.derived(x)
+    by_shared, by_own = problem.of_prior(x)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        way = problem.packed(replace(start, g=rng.standard_normal(g.size), own=rng.standard_normal(own.shape))) + problem.packed(start) * -1
+        step = way * 1e-5
+        wanted = (problem.penalty(x + step) - problem.penalty(x + step * -1)) / 2
+        got = by_shared @ step.shared + np.sum(by_own * problem.by_response(step.own))
+        assert got == pytest.approx(wanted, rel=1e-4)
+        # and the penalty of second order is that of the point
+        there = problem.penalty_of(x, step * 10)
+        assert there == pytest.approx(problem.penalty(x + step * 10), abs=1e-5 * abs(there))
+
+
+def test_with_the_idle_frfs_a_size_covers():
+    off = []
+    for seed in range(6):
+        one, terms = with_idle_lines(seed)
+        exact = one.exactly()
+        found = fit(exact, started(exact, terms), 0.01)
+        off.append((found.terms[0].values[0] - terms[0].values[0]) / np.sqrt(found.covariance[0, 0]))
+    assert abs(np.mean(off)) < 1.96 / np.sqrt(len(off))
+    assert 0.3 < np.sqrt(np.mean(np.square(off))) < 1.7
+
+
+def test_a_shape_that_no_other_follows_is_no_scale():
+    """The one of the driven DOF of a mode that damping alone lets see: its moves are its own."""
+    phi, driven = np.array([[0.1, 1.0], [1.0, 1.0]]), np.array([True, False])
+    shared = np.zeros((2, 2, 2))
+    shared[0, 0, 0] = 0.1  # of the first mode alone the driven value
+    shared[0, 1, 1], shared[1, 1, 1] = 0.5, -0.5  # of the second both, inversely
+    moves = Moves(shared, np.zeros((2, 2, 0)))
+    np.testing.assert_allclose(moves.scale(phi, driven), [[1, 0], [0, 0.5]])
+    np.testing.assert_allclose(moves.scale(phi, driven, exact=True), [[0, 0], [0, 0.5]])
+
+
+@pytest.mark.parametrize(("added", "tied", "asked"), [(1, True, True), (0, True, False), (1, False, False)])
+def test_effects_that_were_added_are_held_to_the_idle_frfs(monkeypatch, added, tied, asked):
+    """Where damping ties modes two gyroscopic effects that nearly cancelled were 31 nats better than the one that was there."""
+    one, terms = with_idle_lines()
+    if not tied:
+        one.fitted = None
+    first = fit(one, started(one, terms), 0.01)
+    more = (*terms, Term("point_mass", (2,), (np.log(1e-3),)))[: 1 + added]
+    best = replace(first, x=replace(first.x, terms=more), log_evidence=first.log_evidence + 31.0)
+    run = Search(one, lambda text: None, Found(first, first, {first.key: first}), own_spreads=True)
+    run.pool = {first.key: first, best.key: best}
+    fits = []
+    monkeypatch.setattr(run, "fitted", lambda starts, floor: fits.extend(starts))
+    run._hold_to_idle_frfs(first)
+    assert [s.x.terms for s in fits] == ([first.terms, more] if asked else [])
+    assert all(s.case.idle_lines is not None and not s.x.g.any() for s in fits)

@@ -42,6 +42,24 @@ class Information:
     def __add__(self, other: Information) -> Information:
         return Information(self.shared + other.shared, self.across + other.across, self.own + other.own)
 
+    def __mul__(self, factor: float) -> Information:
+        return Information(factor * self.shared, factor * self.across, factor * self.own)
+
+    @property
+    def trace(self) -> float:
+        return float(np.trace(self.shared) + np.trace(self.own, axis1=1, axis2=2).sum())
+
+    def times(self, shared: Array, own: Array) -> tuple[Array, Array]:
+        """The product with a vector, (s,) and (blocks, k)."""
+        lower = np.tril(self.shared)
+        first = lower @ shared + shared @ np.tril(lower, -1) + np.tensordot(own, self.across, 2)
+        return first, self.across @ shared + (self.own @ own[..., None])[..., 0]
+
+    def quadratic(self, shared: Array, own: Array) -> float:
+        """vᵀ (JᵀJ) v of a vector."""
+        first, second = self.times(shared, own)
+        return float(shared @ first + np.sum(own * second))
+
 
 @dataclass(frozen=True)
 class Factor:

@@ -16,6 +16,7 @@ from operando.diagnosis.between import SPREADS, Between
 from operando.diagnosis.criteria import CHANGES_DB, FIT_LINES, LEAST_MOVE, REMOVED
 from operando.diagnosis.forward import Forward, Scannable
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.idle_lines import FittedAtRest, IdleLines
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.products import Rows
 from operando.diagnosis.terms import FREE_LAW, SEARCHED, Term, added, candidates, changes_by
@@ -42,6 +43,7 @@ class AsItIs:
     grown: list[Idle] = field(default_factory=list)
     no_mode: list[tuple[Idle, float]] = field(default_factory=list)
     no_location: float = np.inf
+    idle_lines: IdleLines | None = None
 
 
 class Case:
@@ -68,6 +70,8 @@ class Case:
         Whether lines validate that lie between those that are fitted.
     like : Case, optional
         The same check and model with other spreads: lines, told directions of the model, and sizes of effects are taken over.
+    fitted : FittedAtRest, optional
+        The fit of the model to the idle FRFs, where what makes modes complex was fitted.
 
     Raises
     ------
@@ -78,6 +82,10 @@ class Case:
     lines: Lines
     elsewhere = True
     """Whether places without a sensor, and force laws of no kind, are looked for."""
+
+    fitted: FittedAtRest | None = None
+    idle_lines: IdleLines | None = None
+    """What the idle FRFs themselves say of the idle model, beside its prior; None where the prior is taken for all that they say."""
 
     def __init__(
         self,
@@ -91,6 +99,7 @@ class Case:
         correlated: float | None = None,
         between: bool = False,
         like: Case | None = None,
+        fitted: FittedAtRest | None = None,
     ) -> None:
         responses = [i for i, d in enumerate(idle.dofs) if any(d.same_axis(o) for o in frf.responses)]
         references = [i for i, d in enumerate(idle.dofs) if any(d.same_axis(o) for o in frf.references)]
@@ -106,6 +115,7 @@ class Case:
         self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated, between) if like is None else like.lines
         self.band = self.lines.band
         self._look_for(kinds, places, like)
+        self.fitted = fitted if like is None else like.fitted
         driven = np.array(references)
         spreads = SPREADS.copy() if spreads is None else spreads
         self.between = Between(idle, driven, self.band, spreads)
@@ -132,6 +142,19 @@ class Case:
     @property
     def idle(self) -> Idle:
         return self.forward.idle
+
+    def exactly(self) -> Case:
+        """The same case with the lines of the idle FRFs beside the prior made of them, where these are known and damping ties modes."""
+        if self.fitted is None or self.idle_lines is not None or not self.idle.between_root.any():
+            return self
+        case, idle = copy(self), replace(self.idle, first_order=False, exact=True)  # their rows hold the products of residual terms
+        if self.at_rest.idle_lines is None:
+            self.at_rest.idle_lines = IdleLines(idle, self.fitted)
+        case.idle_lines = self.at_rest.idle_lines
+        case.forward = replace(self.forward, idle=idle)
+        case.between = copy(self.between)
+        case.between.idle, case.forward.between = idle, case.between
+        return case
 
     def widened(self, by: Array) -> Case:
         """The same case with spreads larger by exp(by) of each group of what differs between the days."""

@@ -56,7 +56,7 @@ class Descent:
             if self.damping or not new < now:
                 part = problem.residual(problem.tried(x + step * _PART, cost)[0])
                 bend = (part - left + problem.spread(slopes, step) * _PART) / _PART**2
-                second = problem.solved(damped, problem.projected(slopes, bend * weights))
+                second = problem.solved(damped, problem.bent(slopes, bend * weights, x, step, _PART))
                 bent, its = problem.tried(x + step + second, cost)
                 if its < new:
                     h, new, step = bent, its, step + second
@@ -71,9 +71,7 @@ class Descent:
         if self.damping:
             along = problem.by_response(step.own)
             promised = float(gradient.shared @ step.shared + np.sum(gradient.own * along))
-            promised -= 0.5 * float(
-                np.sum(weights * problem.spread(slopes, step) ** 2) + problem.precision @ step.shared**2 + np.sum(along**2)
-            )
+            promised -= 0.5 * (information.quadratic(step.shared, along) + float(problem.precision @ step.shared**2 + np.sum(along**2)))
             kept = min(gain / max(promised, gain), 1.0)
             easier = max(1 / _DAMPING, 1 - (2 * kept - 1) ** 3)
             self.damping = self.damping * easier if self.damping > 1 else 0.0

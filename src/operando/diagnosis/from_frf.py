@@ -150,6 +150,7 @@ def diagnose_frf(
         asked: dict[str, Any] = {
             "kinds": searched(kinds, poor),
             "places": places_asked(idle, places),
+            "fitted": None if rest is None or poor else rest.fitted,
         }
 
         def cases(model: Idle) -> list[Case]:

@@ -35,15 +35,24 @@ class Moves:
     shared: Array  # (DOFs, terms, g)
     own: Array  # (DOFs, terms, e)
 
-    def scale(self, phi: Array, driven: Array) -> Array:
-        """By how much, relatively, g moves the shape of each term at the driven DOFs as a whole, (terms, g)."""
+    def scale(self, phi: Array, driven: Array, exact: bool = False) -> Array:
+        """By how much, relatively, g moves the shape of each term at the driven DOFs as a whole, (terms, g).
+
+        ``exact``ly it is a scale as far as the others follow in inverse proportion. Damping that ties a mode to a driven one lets it be
+        seen though no force drives it: then its driven values are unknown beside known other ones.
+        """
         power = np.sum(phi[driven] ** 2, axis=0)
         along = np.einsum("dt,dtg->tg", phi[driven], self.shared[driven])
         scale = np.divide(along, power[:, None], out=np.zeros_like(along), where=power[:, None] > 0)
-        return np.asarray(scale)
+        if not exact:
+            return np.asarray(scale)
+        others = np.sum(phi[~driven] * np.einsum("dtg,tg->dt", self.shared[~driven], scale), axis=0)
+        inverse = np.sum(phi[~driven] ** 2, axis=0) * np.sum(scale**2, axis=1)
+        follow = np.divide(-others, inverse, out=np.ones_like(inverse), where=inverse > 0)
+        return np.asarray(np.clip(follow, 0, 1)[:, None] * scale)
 
-    def at(self, base: Array, scale: Array, g: Array, own: Array) -> tuple[Array, Moves]:
-        """Values (DOFs, terms) at g and own (DOFs, e), and how they move from there.
+    def at(self, base: Array, scale: Array, g: Array, own: Array, exact: bool = False) -> tuple[Array, Moves]:
+        """Values (DOFs, terms) at g and own (DOFs, e), and how they move from there; ``exact``ly by g at zero.
 
         What is measured are products of a driven and another DOF: where the driven value is larger, the other one is smaller by the same
         factor e^t. By sums alone their product would be wrong by t², far beyond its own standard deviation where a reference hardly
@@ -55,7 +64,7 @@ class Moves:
         most = np.maximum(np.abs(along), np.abs(against))  # no value follows more than in proportion
         follows = np.divide(along * np.sign(against), most, out=np.zeros_like(base), where=most > 0)
         relative = np.sqrt(variance)
-        by_log = np.divide(np.sqrt(np.log1p(variance)), relative, out=np.ones_like(relative), where=relative > 0)
+        by_log = np.divide(np.sqrt(np.log1p(variance)), relative, out=np.ones_like(relative), where=(relative > 0) & (not exact))
         within = by_log[:, None] * scale
         grown = np.exp(follows * (within @ g))
         shared = self.shared - (follows * base)[..., None] * scale
@@ -101,6 +110,9 @@ class Idle:
         Whether what residual terms add is linear in their changes δ: b bᵀ + b δᵀ + δ bᵀ. Their products were measured and are known well,
         where the shapes b are not, and the squares of these make a valley that fits crawl along. At places between sensors no product was
         measured: those are of the shapes as they are.
+    exact : bool
+        Whether lines of the idle FRFs stand beside the unknowns (:mod:`operando.diagnosis.idle_lines`) and hold the products of shapes:
+        then the unknowns move it as they did in its fit.
     """
 
     f: Array
@@ -121,6 +133,7 @@ class Idle:
     lacking: int | None = None
     bend: Array | None = None
     first_order: bool = True
+    exact: bool = False
 
     @property
     def modes(self) -> Array:
@@ -241,9 +254,9 @@ class Idle:
 
     def shape(self, g: Array, own: Array) -> tuple[Array, Moves]:
         """Shapes at g and own (DOFs, e), and how they move from there."""
-        scale = self.shapes.scale(self.phi, self.driven)
-        scale[self.linear] = 0
-        return self.shapes.at(self.phi, scale, g, own)
+        scale = self.shapes.scale(self.phi, self.driven, self.exact)
+        scale[self.residual if self.exact else self.linear] = 0
+        return self.shapes.at(self.phi, scale, g, own, self.exact)
 
     @property
     def linear(self) -> Array:
@@ -252,8 +265,8 @@ class Idle:
 
     def late(self, g: Array, own: Array, times: float = 1.0) -> tuple[Array, Moves]:
         """Lags of shapes, which scale as these do; so many times as large as at rest."""
-        scale = self.shapes.scale(self.phi, self.driven)[self.modes]
-        lag, moves = self.lags.at(self.lag, scale, g, own)
+        scale = self.shapes.scale(self.phi, self.driven, self.exact)[self.modes]
+        lag, moves = self.lags.at(self.lag, scale, g, own, self.exact)
         return times * lag, Moves(times * moves.shared, times * moves.own)
 
     def with_near(self, band: tuple[float, float], fitted: bool = False) -> Idle:

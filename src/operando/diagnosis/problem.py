@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.arrow import Factor
+from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.forward import Point, Prediction
+from operando.diagnosis.idle_lines import Placed
 from operando.diagnosis.products import Rows
 from operando.diagnosis.slopes import Slopes
 from operando.diagnosis.terms import Term, moved, touched
@@ -42,7 +43,8 @@ class Problem:
     Shared unknowns are g, d, u, the values, and those of touched DOFs that reach all channels; the latter are zero among the own ones.
     """
 
-    def __init__(self, case: Case, terms: Sequence[Term], at: Array, stands_for: float = 1.0) -> None:
+    def __init__(self, case: Case, terms: Sequence[Term], at: Array, stands_for: float = 1.0, straight: bool = False) -> None:
+        """Of lines ``at``, each for ``stands_for`` of them; ``straight`` leaves the prior of the idle model normal in any case."""
         self.case, self.at, self.forward = case, at, case.forward
         self.stands_for = stands_for  # so many lines as each of these
         self.terms = tuple(terms)
@@ -64,6 +66,10 @@ class Problem:
             part = slice(self.values_at, self.values_at + self.n_values)
             self.mean[part], self.precision[part] = np.concatenate(means), np.concatenate(stds) ** -2.0
         self.own_precision = np.ones((self.order.size, forward.n_own))
+        self.idle: Placed | None = None
+        if case.idle_lines is not None and not straight:
+            far = {dof: shared.start for dof, _, shared in self.reaching}
+            self.idle = Placed(case.idle_lines, self.order, far, (self.n_shared, forward.n_own))
 
     def packed(self, x: Point) -> Step:
         """Unknowns of a point; own ones by DOF."""
@@ -97,8 +103,16 @@ class Problem:
 
     def derived(self, x: Step) -> tuple[Slopes, Array]:
         """Derivatives and the residual, as independent rows."""
-        h, slopes = self.forward.derived(self.point(x), self.w, Rows(self.case.lines.basis(self.at)[0]))
+        point = self.point(x)
+        if self.idle is not None:
+            self.idle.derive(point)
+        h, slopes = self.forward.derived(point, self.w, Rows(self.case.lines.basis(self.at)[0]))
         return slopes, self.residual(h)
+
+    def information(self, slopes: Slopes, alpha: float) -> Information:
+        """Of the rows, and what the idle FRFs tell beyond the prior, at the point of these derivatives."""
+        told = slopes.information(self.weights(alpha))
+        return told if self.idle is None else told + self.idle.information
 
     def rows(self, values: Array) -> Array:
         """Values (lines, responses, references, k) as independent rows (responses, rows, k)."""
@@ -116,6 +130,20 @@ class Problem:
         return np.asarray(2 * self.stands_for / self.variance(alpha))
 
     def penalty(self, x: Step) -> float:
+        idle = 0.0 if self.idle is None else self.idle.value(self.point(x), x.shared, self.by_response(x.own))
+        return self._normal(x) + idle
+
+    def penalty_of(self, x: Step, step: Step) -> float:
+        """The penalty a step on, of second order about the point of the last derivatives."""
+        total = self._normal(x + step)
+        if self.idle is not None:
+            point, own, along = self.point(x), self.by_response(x.own), self.by_response(step.own)
+            by_shared, by_own = self.idle.gradient(point, x.shared, own)
+            total += self.idle.value(point, x.shared, own) + float(by_shared @ step.shared + np.sum(by_own * along))
+            total += 0.5 * self.idle.information.quadratic(step.shared, along)
+        return total
+
+    def _normal(self, x: Step) -> float:
         values = slice(self.values_at, self.values_at + self.n_values)
         known = x.shared @ x.shared - x.shared[values] @ x.shared[values] + np.sum(x.own**2)
         return float(0.5 * known - sum(self.case.log_prior(t) for t in self.point(x).terms))
@@ -136,12 +164,31 @@ class Problem:
     def gradient(self, slopes: Slopes, weighted: Array, x: Step) -> Step:
         """Of −objective: Jᵀ of weighted residuals (responses, rows), and the prior."""
         along = self.projected(slopes, weighted)
-        return Step(along.shared - self.precision * (x.shared - self.mean), along.own - self.by_response(x.own))
+        shared, own = self.of_prior(x)
+        return Step(along.shared - shared, along.own - own)
+
+    def of_prior(self, x: Step) -> tuple[Array, Array]:
+        """Gradient of the penalty, (n,) and (responses, k)."""
+        shared, own = self.precision * (x.shared - self.mean), self.by_response(x.own)
+        if self.idle is None:
+            return shared, own
+        by_shared, by_own = self.idle.gradient(self.point(x), x.shared, own)
+        return shared + by_shared, own + by_own
 
     def projected(self, slopes: Slopes, weighted: Array) -> Step:
         """Jᵀ of weighted rows."""
         shared, own = slopes.along(lambda at: weighted[at, :, None])
         return Step(shared[..., 0], own[..., 0])
+
+    def bent(self, slopes: Slopes, weighted: Array, x: Step, step: Step, part: float) -> Step:
+        """Jᵀ of weighted bends of the rows along a step, with those of the idle FRFs."""
+        along = self.projected(slopes, weighted)
+        if self.idle is None:
+            return along
+        g = step.shared[: self.forward.n_g]
+        own = self.point(x + step).own - self.point(x).own
+        shared, mine = self.idle.bend(self.point(x), self.point(x + step * part), g, own[:, : self.forward.n_shape], part)
+        return Step(along.shared + shared, along.own + mine)
 
     def solved(self, factor: Factor, gradient: Step) -> Step:
         """Step by DOF from a gradient by response."""

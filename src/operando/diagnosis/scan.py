@@ -193,10 +193,14 @@ class LinearScan:
         precision = np.array(problem.precision)
         values = slice(problem.values_at, problem.values_at + problem.n_values)
         precision[values] = [_HELD if t is held else _LOOSE_VALUE for t in self.x.terms for _ in t.values]
-        self.factor = Factor.of(Information.of(self.shared, self.own), precision, problem.own_precision)
-        without = packed.shared.copy()
+        told = Information.of(self.shared, self.own)
+        without, own = packed.shared.copy(), problem.by_response(packed.own)
+        if problem.idle is not None:  # from where the prior, normal about this point, has its mean
+            told = told + problem.idle.information
+            without, own = Factor.of(problem.idle.information, problem.precision, problem.own_precision).solve(*problem.of_prior(packed))
+        self.factor = Factor.of(told, precision, problem.own_precision)
         without[values] = 0
-        self.offset = Slopes(lambda: [(slice(None), self.shared, self.own)]).moved(without, problem.by_response(packed.own))[..., None]
+        self.offset = Slopes(lambda: [(slice(None), self.shared, self.own)]).moved(without, own)[..., None]
         self.measured = problem.rows(problem.measured[..., None]) * self.weights
 
     def residuals(self, terms: Sequence[Term]) -> Array:

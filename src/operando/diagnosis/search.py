@@ -208,6 +208,8 @@ class Search:
             if not self._step(most):
                 break
         self._leave_to_days()
+        if self.start is not None:
+            self._hold_to_idle_frfs(self.start.best)
         if self.own_spreads and not self._no_other_day(self.best()):
             self._settle()
         return Found(max(self.pool.values(), key=score), empty, self.pool)
@@ -275,6 +277,17 @@ class Search:
         rest = [t for t in best.terms if not no_more_than_days(self.case, t, best.x.d)]
         if len(rest) < len(best.terms) and self.once(rest):
             self.fitted([Start(best.carried(rest), best.alpha, best.case)])
+
+    def _hold_to_idle_frfs(self, first: State) -> None:
+        """Effects beyond those that the search began with, and these alone, with the idle FRFs themselves beside the prior of the model.
+
+        Two effects that nearly cancel free an idle model whose modes are tied from a prior that does not bend as its FRFs do.
+        """
+        best = self.best()
+        if first.terms and len(best.terms) > len(first.terms) and self.case.exactly() is not self.case:
+            self.say("with the idle FRFs themselves:")
+            cases = [state.case.exactly() for state in (first, best)]
+            self.fitted([Start(started(c, s.terms), s.alpha, c) for c, s in zip(cases, (first, best), strict=True)], floor=-np.inf)
 
     def _settle(self) -> None:
         """The most probable state to the end of its fit, beside the states with one effect less; then what could stand in its place."""
