@@ -9,7 +9,7 @@ import pytest
 import operando
 from operando.compare import compare, compare_all
 from operando.compare.comparison import lowest_level
-from operando.compare.peaks import fit_peaks
+from operando.compare.peaks import CHANCE, LARGEST_REST, fit_peaks, largest_rest
 from operando.data import Frf, ModalModel
 from operando.errors import DataError
 from operando.results import CheckRun
@@ -322,3 +322,9 @@ def test_a_mode_20_db_above_the_noise_is_found(lines_wide):
         peaks = fit_peaks(clean + 0.1 * _shared_noise(rng, 6, f.size), f, variance=np.full(clean.shape, 0.01))
         found += any(abs(p.frequency_hz - 35.1) < 0.25 for p in peaks)
     assert found >= 17
+
+
+def test_a_pole_of_few_lines_must_explain_nearly_all_of_them():
+    """Of eleven lines the background leaves eight complex values: t^7 is the chance of one direction, and two a line are tried."""
+    assert largest_rest(11, 1) == pytest.approx((CHANCE / 22) ** (1 / 7))
+    assert largest_rest(11, 1) < LARGEST_REST == largest_rest(100, 1)

