@@ -41,7 +41,7 @@ UNTOUCHED = (
 OF_A_DAY = "the records are compared with the idle model as it is on another day: what differs comes from the FRFs of {run}"
 DAYS = 2
 """Times that the day is found: beside what is known first, and beside what the records say then. The second time moved values by 0 to 6 %,
-less than a fifth of their standard deviations (clearance and saturating spring of ``benchmarks/hidden_effects``, 10300 and 10305)."""
+less than a quarter of their standard deviations (clearance and saturating spring of ``benchmarks/hidden_effects``, 10300 and 10305)."""
 
 SURE = ("explained", "no_misfit", "ambiguous")
 
