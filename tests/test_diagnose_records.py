@@ -267,8 +267,8 @@ def test_a_day_shows_what_its_sensors_show():
     day = another_day.day_of(idle, (), run, **options)
     hz, rows = np.linspace(*BAND, 50), np.arange(8)
     wanted = GAINS[:, None] * idle.frf(hz, references=("2+Z",), quantity="accelerance", variance=False).data[:, 0]
-    sensor, force = day.gains
-    shown = day.seen(hz, rows, (1,))[:, :, 0].T * sensor[:, None] / force[0]
+    sensor, force = day.sensor_gains, day.force_gains[1]
+    shown = day.seen(hz, rows, (1,))[:, :, 0].T * sensor[:, None] / force
     assert np.linalg.norm(shown - wanted) < 0.1 * np.linalg.norm(wanted - wanted / GAINS[:, None])
     ratio = (sensor[:, None] / force) / GAINS[:, None]
     assert np.abs(ratio - 1).max() < 0.01
@@ -292,13 +292,13 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
 
     def day_of(idle, effects, run, progress, **options):
         asked.append((list(effects), run.force_n))
-        return SimpleNamespace(idle="idle of the day", seen="seen", corrected=lambda record: f"{record} corrected")
+        return "the day"
 
-    def looked(idle, records, seen=None, **options):
+    def looked(idle, records, day=None, **options):
         now = found("clearance")
-        if seen is None:
+        if day is None:
             return replace(now, verdict="partial", ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": 0.5}), notes=())
-        assert (idle, records[0], seen) == ("idle of the day", "run corrected", "seen")
+        assert day == "the day"
         effects = now.effects if error_db is not None else ()
         return replace(
             now, verdict=verdict, effects=effects, ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": error_db}), notes=()

@@ -1,4 +1,4 @@
-"""Records of another day: the idle model as it is then, and what its sensors show with nothing missing."""
+"""Another day than that of the idle model, from the FRFs of a validation measurement."""
 
 from __future__ import annotations
 
@@ -9,82 +9,98 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel, TimeRecord
+from operando.data import ModalModel
 from operando.diagnosis.by_hand import estimated, fitted_to
 from operando.diagnosis.document import between_rows
+from operando.diagnosis.forward import Point
 from operando.diagnosis.posterior import State
+from operando.diagnosis.records import Day
 from operando.results import CheckRun
 from operando.structure.effects import Effect
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
 
-
-@dataclass(frozen=True)
-class Day:
-    """The idle model on the day of a validation measurement: its stiffness and damping, and shapes as its FRFs have them.
-
-    Attributes
-    ----------
-    idle : ModalModel
-    state : State
-        Fitted to the FRFs of that day; its effects are left out here.
-    """
-
-    idle: ModalModel
-    state: State
-
-    @property
-    def gains(self) -> tuple[Array, Array]:
-        """Of the sensors at all DOFs, (DOFs,), and of the forces, (references,): what they show over what there is."""
-        forward, x = self.state.case.forward, self.state.x
-        sensor = forward.between.own_parts(x.own[:, forward.n_shape :])["sensor"][:, 0]
-        return np.exp(sensor), np.exp(-forward.between.shared_parts(x.d)["force"])
-
-    def corrected(self, record: TimeRecord) -> TimeRecord:
-        """A record without the gains of its channels."""
-        forward, (sensor, force) = self.state.case.forward, self.gains
-        known = {d.key: i for i, d in enumerate(self.state.case.dofs)}
-        of_force = {int(j): g for j, g in zip(forward.references, force, strict=True)}
-        forces, gains = set(record.force_indices), np.ones(len(record.channels))
-        for k, channel in enumerate(record.channels):
-            at = None if channel.dof is None else known.get(channel.dof.key)
-            if at is not None:
-                gains[k] = of_force.get(at, 1.0) if k in forces else sensor[at]
-        return replace(record, data=np.asarray(record.data, float) / gains[:, None])
-
-    def seen(self, hz: Array, rows: Array, driven: Sequence[int]) -> Array | None:
-        """Accelerances (lines, rows, driven) through sensors and forces as they were put back, without their gains.
-
-        None where no FRF shows one of them.
-        """
-        forward = self.state.case.forward
-        shown, forced = forward.responses.tolist(), forward.references.tolist()
-        if not {*rows.tolist()} <= {*shown} or not {*driven} <= {*forced}:
-            return None
-        bare = replace(self.state.x, u=np.zeros(0), terms=())
-        w = 2 * np.pi * hz
-        at = np.ix_([shown.index(i) for i in rows.tolist()], [forced.index(j) for j in driven])
-        sensor, force = self.gains
-        gain = sensor[rows][:, None] / force[at[1][0]]
-        h = forward.predict(bare, w, derivatives=False).h[(slice(None), *at)]
-        return np.asarray(-(w[:, None, None] ** 2) * h / gain)
+_STEP = 1e-3
+"""Of an unknown, in its prior standard deviation, for a difference quotient: frequencies and damping are smooth in it."""
 
 
 def day_of(
     idle: ModalModel, effects: Sequence[Effect], run: CheckRun, progress: Callable[[str], None] | None = None, **options: Any
 ) -> Day | None:
-    """The day of FRFs that linear effects explain as well as they can; None where they are as probable with nothing touched.
+    """The day of FRFs, beside linear effects fitted with it; None where the FRFs are as probable with nothing touched.
 
-    Without effects what is missing strains the day: its priors hold it near, until the effects are known.
+    What differs may be more than days have: the effects known so far need not be all, and the records say whether the day helps.
 
     ``options`` are of :func:`operando.diagnosis.by_hand.fitted_to`.
     """
     with one_blas_thread():
-        states, _ = fitted_to(idle, effects, run, progress or (lambda text: None), may_strain=not effects, **options)
+        states, _ = fitted_to(idle, effects, run, progress or (lambda text: None), may_strain=True, **options)
         state = estimated(states[-1])
-        if not between_rows(state):
+        return _Bare(state, replace(state.x, u=np.zeros(0), terms=())).day(idle) if between_rows(state) else None
+
+
+@dataclass(frozen=True)
+class _Bare:
+    """A state, and its unknowns without effects."""
+
+    state: State
+    x: Point
+
+    def day(self, idle: ModalModel) -> Day | None:
+        """The idle model on that day; None where it has other terms or DOFs."""
+        forward = self.state.case.forward
+        moved, modes = forward.moved(self.x), np.asarray(forward.modes)
+        if moved.phi.shape != idle.terms.shapes.shape:
             return None
-        moved = state.case.forward.moved(replace(state.x, u=np.zeros(0), terms=()))
-        same = moved.phi.shape == idle.terms.shapes.shape
-        return Day(idle.with_terms(frequencies_hz=moved.f, damping_ratios=moved.zeta, shapes=moved.phi), state) if same else None
+        between, (std_d, std_own) = forward.between, self.state.std()
+        shown = np.array(moved.phi, float)
+        shown[:, modes] += between.across(between.own_parts(self.x.own[:, forward.n_shape :])["seen"])
+        sensor, force = between.own["sensor"], between.shared["force"]
+        sensor_std = (std_own[:, forward.n_shape :] * between.own_spread)[:, sensor]
+        force_std = (std_d * between.shared_spread)[force]
+        sensors, forces = self.gains()
+        return Day(
+            idle.with_terms(frequencies_hz=moved.f, damping_ratios=moved.zeta, shapes=moved.phi),
+            shown,
+            modes,
+            self.covariance(),
+            sensors,
+            np.sqrt(np.sum(sensor_std**2, axis=1)),
+            dict(zip(forward.references.tolist(), forces.tolist(), strict=True)),
+            float(np.sqrt(np.mean(force_std**2))) if force_std.size else 0.0,
+            self.accelerance,
+        )
+
+    def gains(self) -> tuple[Array, Array]:
+        """Of the sensors at all DOFs, (DOFs,), and of the forces, (references,): what they show over what there is."""
+        forward = self.state.case.forward
+        sensor = forward.between.own_parts(self.x.own[:, forward.n_shape :])["sensor"][:, 0]
+        return np.exp(sensor), np.exp(-forward.between.shared_parts(self.x.d)["force"])
+
+    def covariance(self) -> Array:
+        """Of ln f, then of ln ζ, of the modes (2n, 2n), by the unknowns of the idle model and of the day."""
+        forward = self.state.case.forward
+        m, moved = forward.modes, forward.moved(self.x)
+
+        def logs(d: Array) -> Array:
+            at = forward.moved(replace(self.x, d=d))
+            return np.log(np.concatenate([at.f[m], at.zeta[m]]))
+
+        of_idle = np.concatenate([moved.by_f[m] / moved.f[m, None], moved.by_zeta[m] / moved.zeta[m, None]])
+        of_day = [(logs(self.x.d + step) - logs(self.x.d)) / _STEP for step in _STEP * np.eye(self.x.d.size)]
+        slopes = np.column_stack([of_idle, *of_day])
+        n = slopes.shape[1]
+        return np.asarray(slopes @ self.state.factor.shared_covariance(0)[:n, :n] @ slopes.T)
+
+    def accelerance(self, hz: Array, rows: Array, driven: Sequence[int]) -> Array | None:
+        """Accelerances (lines, rows, driven) through sensors and forces as they were put back, without their gains."""
+        forward = self.state.case.forward
+        shown, forced = forward.responses.tolist(), forward.references.tolist()
+        if not {*rows.tolist()} <= {*shown} or not {*driven} <= {*forced}:
+            return None
+        w = 2 * np.pi * hz
+        at = np.ix_([shown.index(i) for i in rows.tolist()], [forced.index(j) for j in driven])
+        sensors, forces = self.gains()
+        h = forward.predict(self.x, w, derivatives=False).h[(slice(None), *at)]
+        return np.asarray(-(w[:, None, None] ** 2) * h * forces[at[1][0]] / sensors[rows][:, None])

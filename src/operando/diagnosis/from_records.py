@@ -142,7 +142,7 @@ def diagnose_levels(
                     break
                 if progress:
                     progress(f"look at the records with what differs between the days by {run.name}")
-                other = diagnose_records(day.idle, [day.corrected(r) for r in records], progress=progress, seen=day.seen, **of_records)
+                other = diagnose_records(idle, records, progress=progress, day=day, **of_records)
             except OperandoError as error:
                 return replace(seen, notes=(*seen.notes, f"records and what differs between the days: {error.message}"))
             if not _says_more(other, seen):

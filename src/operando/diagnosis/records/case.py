@@ -9,9 +9,10 @@ from itertools import combinations
 import numpy as np
 
 from operando.data import ModalModel, TimeRecord, one_level
+from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.out_of_band import Doubt
 from operando.diagnosis.records.place import Weighted
-from operando.diagnosis.records.run import Run, Seen, make_run
+from operando.diagnosis.records.run import Run, make_run
 from operando.errors import MissingError
 from operando.structure.modal_space import Modes, Real
 
@@ -37,6 +38,7 @@ class RecordsCase:
     band: tuple[float, float]
     doubt: Doubt  # how far the idle model may be off by what lies outside the band
     places: tuple[tuple[int, ...], ...]  # rows of the idle model: one, or two for the difference first − second
+    day: Day | None = None
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -76,15 +78,15 @@ def make_case(
     band: tuple[float, float] | None = None,
     places: Sequence[Sequence[int]] | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
-    seen: Seen | None = None,
+    day: Day | None = None,
 ) -> RecordsCase:
-    """Runs, levels and places; lines inside ``exclude_bands`` [Hz] are not used; ``seen`` as in :func:`make_run`."""
+    """Runs, levels and places; lines inside ``exclude_bands`` [Hz] are not used; ``day`` is another one, with ``idle`` as it is then."""
     if not records:
         raise MissingError("no record of the running structure with a measured force")
     modes = Modes.of(idle)
     proper = idle.frequencies_hz[np.asarray(idle.in_band)]
     band = band or idle.band_hz or (0.6 * float(proper.min()), 1.08 * float(proper.max()))
-    runs = [make_run(r, idle, modes, band, seen).without(exclude_bands) for r in records]
+    runs = [make_run(r, idle, modes, band, day).without(exclude_bands) for r in records]
     modes = replace(modes, grounded=contradicted(runs, modes))
     fitted: list[Run] = []
     validation: list[Run] = []
@@ -98,7 +100,7 @@ def make_case(
     measured = sorted({int(i) for r in runs for i in r.rows})
     everywhere = [(i,) for i in measured] + list(combinations(measured, 2))
     wanted = everywhere if places is None else [tuple(int(i) for i in p) for p in places]
-    return RecordsCase(idle, modes, tuple(fitted), tuple(validation), band, Doubt.of(idle, modes, band), tuple(wanted))
+    return RecordsCase(idle, modes, tuple(fitted), tuple(validation), band, Doubt.of(idle, modes, band), tuple(wanted), day)
 
 
 def contradicted(runs: Sequence[Run], modes: Modes) -> bool:

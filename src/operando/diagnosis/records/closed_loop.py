@@ -85,7 +85,7 @@ def track(run: Run, modes: Modes, loop: Loop, base: Complex, force: Complex, mem
     """A run ready to be followed.
 
     From spectra (p, N//2+1) of the displacement across the places under the measured force (``base``) and of the restoring forces,
-    internal states (p, N) of their laws, and amplitudes (J,) of the free decays.
+    internal states (p, N) of their laws, and amplitudes (J,) of the nuisance.
     """
     fine = round(1 / (run.sampling_hz * loop.step))
     n, hz = run.n_samples, run.all_hz
@@ -102,7 +102,7 @@ def track(run: Run, modes: Modes, loop: Loop, base: Complex, force: Complex, mem
     q, dq = sfft.irfft(modal, n, axis=-1)
     ringing = modes.ringing(run.sampling_hz)
     own = modes.poles[ringing]
-    weights = (amplitudes[: ringing.size] + 1j * amplitudes[ringing.size :]) / own**2
+    weights = (amplitudes[: own.size] + 1j * amplitudes[own.size : 2 * own.size]) / own**2
     decays = decay_in_time(own, np.stack([weights, weights * own]), n, 1 / run.sampling_hz, apart=True)
     for k, pole in enumerate(own):
         same = np.flatnonzero(np.abs(poles - pole) < 1e-9 * abs(pole))

@@ -55,7 +55,7 @@ def effect_of(case: RecordsCase, tried: Tried) -> Effect:
         name = name.replace("ground_", "coupling_")
     if law.side < 0:
         dofs = [d.opposite for d in dofs] if len(dofs) == 1 else dofs[::-1]
-    return Effect(name, tuple(dofs), dict(law.values), std_of(tried))
+    return Effect(name, tuple(dofs), dict(law.values), std_of(tried, case.day))
 
 
 def candidate_row(case: RecordsCase, tried: Tried, base: float) -> dict[str, Any]:

@@ -10,10 +10,10 @@ from operando.data import Geometry, ModalModel, TimeRecord
 from operando.diagnosis.records.case import RecordsCase, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force
 from operando.diagnosis.records.conclude import conclude
+from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.detect import detect, distortion
 from operando.diagnosis.records.refine import refined
 from operando.diagnosis.records.result import RecordsDiagnosis
-from operando.diagnosis.records.run import Seen
 from operando.diagnosis.records.steps import SearchStep, Tried, choose, improves, search_step, with_law
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
@@ -35,7 +35,7 @@ def diagnose_records(
     band: tuple[float, float] | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
     progress: Callable[[str], None] | None = None,
-    seen: Seen | None = None,
+    day: Day | None = None,
 ) -> RecordsDiagnosis:
     """Name the level-dependent effect that is missing in the idle model in records of the running state with measured force.
 
@@ -58,9 +58,8 @@ def diagnose_records(
         Lines left out [Hz], as those of a rotor's orders.
     progress : callable, optional
         Told what is being done.
-    seen : callable, optional
-        What the sensors show with nothing missing, where they were put back on another day: from lines (L,) [Hz], rows (q,) of the idle
-        model that are measured and rows (k,) that are driven to accelerances (L, q, k). Default what the idle model predicts there.
+    day : Day, optional
+        Another day than that of the idle model, on which the records were taken; they are corrected for its gains.
 
     Returns
     -------
@@ -75,8 +74,10 @@ def diagnose_records(
     """
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so it predicts no response to fail", hint="give the units of force and acceleration")
+    if day is not None:
+        idle, records = day.idle, [day.corrected(record) for record in records]
     with one_blas_thread():
-        case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands, seen)
+        case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands, day)
         wanted = wanted_kinds(kinds)
         return _diagnose(case, wanted, geometry, progress)
 

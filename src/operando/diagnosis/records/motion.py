@@ -34,7 +34,8 @@ class PlaceDrive:
     """What moves a place in one run: x = base − H_bb·S on all lines, with the free decays in time.
 
     In the band and below it the model under the measured force: displacement noise of an accelerometer grows with 1/ω², that of the
-    model does not. Above the band the measured acceleration takes over.
+    model does not. Above the band the measured acceleration takes over, and on another day in the band, too, as far as less is known of the
+    model than of the sensors: under a stiff contact base and H_bb·S nearly cancel at the resonances of the idle model.
     """
 
     base: Complex  # displacement under the measured force; above the band as measured (N//2+1,)
@@ -47,7 +48,7 @@ class PlaceDrive:
 
     @classmethod
     def of(cls, along: Along, modes: Modes, amplitudes: Real, extra: Complex | None = None) -> PlaceDrive:
-        """From the free decays' amplitudes (J,); ``extra`` is receptance across the place that the modes lack, on all lines."""
+        """From amplitudes (J,) of the nuisance; ``extra`` is receptance across the place that the modes lack, on all lines."""
         run = along.run
         hz = run.all_hz
         w = 2 * np.pi * hz
@@ -63,7 +64,7 @@ class PlaceDrive:
             compliance[:top] += extra[:top]
         ringing = modes.ringing(run.sampling_hz)
         poles = modes.poles[ringing]
-        weights = across[ringing] * (amplitudes[: ringing.size] + 1j * amplitudes[ringing.size :])
+        weights = across[ringing] * (amplitudes[: run.ringing] + 1j * amplitudes[run.ringing : 2 * run.ringing])
         fine = 2 if run.sampling_hz < FINE_BELOW * run.hz[-1] else 1
         decays = np.stack([weights / poles**2, weights / poles, weights])
         fall = decay_in_time(poles, decays, run.n_samples * fine, 1 / (run.sampling_hz * fine))
@@ -71,6 +72,12 @@ class PlaceDrive:
         if measured.size == np.count_nonzero(along.b):
             a = along.b[run.rows[measured]] @ run.responses[measured] - sfft.rfft(fall[2, ::fine])
             base[top:] = -a[top:] / w[top:] ** 2
+            if run.changing.size:
+                at = run.rows[measured]
+                share = measured_share(along, across, along.b[at] ** 2 @ run.variance[measured])
+                seen = -(a[run.lines] - along.b[at] @ run.beside[measured]) / run.omega**2
+                base[run.lines] += share * (seen - base[run.lines])
+                compliance[run.lines] *= 1 - share
         edge = max(1, int(EDGE * run.sampling_hz * fine / run.hz[-1]))
         return cls(base, compliance, fall[0], fall[1], w, fine, edge)
 
@@ -105,6 +112,18 @@ class PlaceDrive:
         for part in (slice(None, edge), slice(-edge, None)):
             out[part] = np.clip(motion[part], -reach, reach)
         return out
+
+
+def measured_share(along: Along, across: Real, noise: Real) -> Real:
+    """Weight (L,) of the measured motion against the model's, whose variance is what another day leaves open.
+
+    ``across`` (terms,) are the shapes across the place, ``noise`` (L,) is the variance of its measured acceleration.
+    """
+    run = along.run
+    columns = across[run.changing, None] * run.nuisance[2 * run.ringing :]
+    prior = run.nuisance_prior[2 * run.ringing :, 2 * run.ringing :]
+    of_model = np.sum(columns.conj() * np.linalg.solve(prior, columns), axis=0).real
+    return np.asarray(of_model / (of_model + noise))
 
 
 @dataclass(frozen=True)

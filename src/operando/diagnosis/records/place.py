@@ -1,7 +1,8 @@
 """One place and one record: the restoring force without a law, and regressions on restoring forces.
 
 On each line the weighted error is split into its part along h_b = H0·b, a scalar that a force at the place can make, and the rest, which no
-force there can. The free decays are eliminated through their normal equations, which do not depend on the place.
+force there can. The nuisance (free decays, and what another day leaves open) is eliminated through its normal equations, which do not
+depend on the place.
 """
 
 from __future__ import annotations
@@ -43,12 +44,12 @@ def solved(normal: Normal, rcond: float | None = None, ridge: float = 0.0) -> Re
 
 @dataclass(frozen=True)
 class Weighted:
-    """A run with its weights, and the normal equations of its J free decays."""
+    """A run with its weights, and the normal equations of its J columns of nuisance."""
 
     run: Run
     root: Real  # 1/σ of each line (q, L)
     error: Complex  # error over σ (q, L)
-    gram: Real  # normal matrix of the decays (J, J)
+    gram: Real  # normal matrix of the nuisance (J, J)
     right: Real  # its right side
     total: float  # Σ|error/σ|²
 
@@ -57,13 +58,13 @@ class Weighted:
         """Weights from the run's variance; another error of the same run where given, with the Gram matrix known."""
         root = 1 / np.sqrt(run.variance)
         weighted = (run.error if error is None else error) * root
-        # Decay j at response i is decay_shapes[i, j]·decays[j].
-        pulled = run.decay_shapes.T @ (weighted * root)
-        right = np.sum(run.decays.real * pulled.real + run.decays.imag * pulled.imag, axis=1)
+        # Column j at response i is nuisance_shapes[i, j]·nuisance[j].
+        pulled = run.nuisance_shapes.T @ (weighted * root)
+        right = np.sum(run.nuisance.real * pulled.real + run.nuisance.imag * pulled.imag, axis=1)
         if gram is None:
-            gram = decay_gram(run.decays, run.decay_shapes, root)
+            gram = nuisance_gram(run.nuisance, run.nuisance_shapes, root)
             gram[np.diag_indices_from(gram)] *= 1 + 1e-10
-            gram[np.diag_indices_from(gram)] += 1 / np.maximum(run.decay_size, 1e-150) ** 2
+            gram += run.nuisance_prior
         return cls(run, root, weighted, gram, right, float(np.sum(np.abs(weighted) ** 2)))
 
     @property
@@ -76,29 +77,29 @@ class Weighted:
         return Weighted.of(self.run, error, self.gram)
 
     def ringing(self) -> tuple[Real, float]:
-        """Amplitudes of the free decays alone, and Σ|error/σ|² with them."""
+        """Amplitudes of the nuisance alone, and Σ|error/σ|² with them."""
         amplitudes = cho_solve(cho_factor(self.gram), self.right)
         return amplitudes, self.total - float(self.right @ amplitudes)
 
     def decayed(self) -> Complex:
-        """Weighted error without the free decays."""
+        """Weighted error without the nuisance."""
         return np.asarray(self.error - self.run.fallen(self.ringing()[0]) * self.root)
 
 
-def decay_gram(decays: Complex, shapes: Real, root: Real) -> Real:
-    """Normal matrix Σ Re(d_j·d_k*)·Σ_i φ_ij·φ_ik/σ_i² of free decays (J, L) with shapes (q, J) and weights 1/σ (q, L)."""
-    j, count = decays.shape
+def nuisance_gram(columns: Complex, shapes: Real, root: Real) -> Real:
+    """Normal matrix Σ Re(d_j·d_k*)·Σ_i φ_ij·φ_ik/σ_i² of columns (J, L) with shapes (q, J) and weights 1/σ (q, L)."""
+    j, count = columns.shape
     # Where the noise is even over some lines they share the sum over responses.
     edges = np.concatenate([[0], 1 + np.flatnonzero(np.any(np.diff(root, axis=1) != 0, axis=0)), [count]])
     gram = np.zeros((j, j))
     if edges.size - 1 < count / 4:
         for a, b in pairwise(edges):
-            d = apart(decays[:, a:b])
+            d = apart(columns[:, a:b])
             weighted = shapes * root[:, a, None]
             gram += (d @ d.T) * (weighted.T @ weighted)
         return gram
     for shape, r in zip(shapes, root, strict=True):
-        both = apart(decays * r)
+        both = apart(columns * r)
         gram += (both @ both.T) * np.outer(shape, shape)
     return gram
 
@@ -117,7 +118,7 @@ class Along:
     h: Complex  # accelerations per unit force along b (q, L)
     gain: Real  # |h/σ| over all responses: how strongly a force at the place shows on a line (L,)
     error: Complex  # part of the weighted error along h (L,)
-    decays: Complex  # parts of the decays along h (J, L)
+    nuisance: Complex  # parts of the nuisance along h (J, L)
 
     @classmethod
     def of(cls, weighted: Weighted, b: Real, h: Complex) -> Along:
@@ -127,8 +128,8 @@ class Along:
         gain = np.maximum(np.sqrt(np.sum(np.abs(seen) ** 2, axis=0)), 1e-300)
         u = seen / gain
         error = np.sum(u.conj() * weighted.error, axis=0)
-        decays = run.decays * ((u.conj() * weighted.root).T @ run.decay_shapes).T
-        return cls(weighted, b, h, gain, error, decays)
+        nuisance = run.nuisance * ((u.conj() * weighted.root).T @ run.nuisance_shapes).T
+        return cls(weighted, b, h, gain, error, nuisance)
 
     @property
     def run(self) -> Run:
@@ -141,7 +142,7 @@ class Along:
         return np.asarray(strength / (1 + strength))
 
     def free_force(self, spread: Real | float = np.inf, mean: Complex | None = None) -> tuple[Complex, Real, float]:
-        """Restoring force (L,) without a law, amplitudes (J,) of the free decays, Σ|weighted error|² that no force at the place explains.
+        """Restoring force (L,) without a law, amplitudes (J,) of the nuisance, Σ|weighted error|² that no force at the place explains.
 
         ``spread`` is the standard deviation of the force's spectrum about ``mean`` (0), infinite where nothing is known.
         """
@@ -150,20 +151,20 @@ class Along:
         error = self.error + self.gain * expected
         # Along h the error has variance 1 + strength, across it 1.
         taken = self.taken(spread)
-        both = apart(self.decays)
+        both = apart(self.nuisance)
         gram = weight.gram - (both * np.tile(taken, 2)) @ both.T
         gram[np.diag_indices_from(gram)] += 1e-9 * np.diag(weight.gram)
         right = weight.right + both @ apart(error * (1 - taken) - self.error)
         amplitudes = cho_solve(cho_factor(gram), right)
-        rest = error - amplitudes @ self.decays
+        rest = error - amplitudes @ self.nuisance
         force = expected - rest * taken / self.gain
         total = weight.total + float(np.sum(np.abs(error) ** 2 * (1 - taken) - np.abs(self.error) ** 2))
         return force, amplitudes, total - float(amplitudes @ right)
 
     def normal(self, forces: Complex) -> Normal:
-        """Normal equations of a regression of the error on restoring forces (c, L), free decays eliminated."""
+        """Normal equations of a regression of the error on restoring forces (c, L), nuisance eliminated."""
         both = apart(-forces * self.gain)
-        cross = both @ apart(self.decays).T
+        cross = both @ apart(self.nuisance).T
         inner = cho_solve(cho_factor(self.weighted.gram), np.column_stack([cross.T, self.weighted.right]))
         gram = both @ both.T - cross @ inner[:, :-1]
         right = both @ apart(self.error) - cross @ inner[:, -1]
@@ -181,5 +182,5 @@ class Along:
             h=self.h[:, keep],
             gain=self.gain[keep],
             error=self.error[keep],
-            decays=self.decays[:, keep],
+            nuisance=self.nuisance[:, keep],
         )

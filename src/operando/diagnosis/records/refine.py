@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from operando.diagnosis.records.day import Day, powers
 from operando.diagnosis.records.fit_laws import law_cost
 from operando.diagnosis.records.motion import Motion
 from operando.diagnosis.records.place import Normal, solved, summed
@@ -84,8 +85,8 @@ def stepped(law: ForceLaw, names: Sequence[str], step: Real) -> ForceLaw:
     return law.moved(**{n: float(np.clip(v, *limits[n])) if n in limits else v for n, v in values.items()})
 
 
-def std_of(tried: Tried) -> dict[str, float]:
-    """Standard deviations, from three sources that add up.
+def std_of(tried: Tried, day: Day | None = None) -> dict[str, float]:
+    """Standard deviations, from three sources that add up, and on another day from what is not known of its gains.
 
     The curvature of the chi-square, for errors that stay together over some lines. What is wrong with the motion of the idle model is
     common to all lines of a run, so the curvature does not show it. It differs between runs, for another drive point and level moves the
@@ -100,7 +101,29 @@ def std_of(tried: Tried) -> dict[str, float]:
     scatter = own_values(law, tried.spot.whole, names)
     systematic = SHARE * max(cost - SYSTEMATIC * count, 0.0) / max(without - cost, 1e-300)
     relative = np.sqrt(spread**2 + scatter**2 + LEAST**2 + systematic)
+    if day is not None:
+        relative = np.hypot(relative, of_gains(tried, day, names))
     return {n: float(law.values[n] * r) for n, r in zip(names, relative, strict=True)}
+
+
+def of_gains(tried: Tried, day: Day, names: Sequence[str]) -> Real:
+    """Relative standard deviations of values that come from gains of motion and force alone.
+
+    A motion that is shown too large by a part makes a stiffness too small by it and a gap too large: the powers of metre and newton in
+    the unit say which. Of the difference of two motions gains show the more, the smaller it is beside these.
+    """
+    shown = across = 0.0
+    place = list(tried.spot.place)
+    for m in tried.spot.whole:
+        run = m.along.run
+        at = [int(np.flatnonzero(run.rows == row)[0]) for row in place if row in run.rows]
+        moving = run.responses[at][:, run.lines] / run.omega**2
+        shown += float(np.sum((day.sensor_std[run.rows[at]] ** 2)[:, None] * np.abs(moving) ** 2))
+        across += float(np.sum(np.abs(tried.spot.b[run.rows[at]] @ moving) ** 2))
+    motion = np.sqrt(shown / max(across, 1e-300))
+    units = {p.name: p.unit for p in tried.law.definition.parameters}
+    of = np.array([powers(units.get(name, "")) for name in names], float).reshape(-1, 2)
+    return np.asarray(np.hypot(of[:, 0] * motion, of[:, 1] * day.force_std))
 
 
 def own_values(law: ForceLaw, motions: Sequence[Motion], names: Sequence[str]) -> Real:

@@ -1,4 +1,4 @@
-"""One record with measured force against the idle model: spectra of the whole record, free decays, and what the model leaves.
+"""One record with measured force against the idle model: spectra of the whole record, nuisance, and what the model leaves.
 
 The running structure is the idle one under one force more: X = H0·(F − b·S) + T + noise, where S is the transform of the restoring
 force s of the effect along b and T the free decays that the states at the beginning and the end of the record leave. The idle model
@@ -7,15 +7,17 @@ is linear and known, so this holds on every line of an unwindowed record.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as sfft
+from scipy.linalg import block_diag
 
 from operando.data import ModalModel, TimeRecord
+from operando.diagnosis.records.day import Day
 from operando.dof import Dof, match_dofs
 from operando.errors import DataError
 from operando.structure.modal_space import Complex, Modes, Real
@@ -31,10 +33,6 @@ SLACK = 5.0
 
 OWN_STRIDE = 4
 """The idle model's own variance is computed on one line of so many: resonances are wider."""
-
-
-Seen = Callable[[Real, NDArray[np.int_], Sequence[int]], Complex | None]
-"""Accelerances (L, q, k) on lines [Hz] that the sensors at rows of the idle model show, with forces at other rows and nothing missing."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +53,13 @@ class Run:
     error: Complex  # X − H0·F: what the idle model leaves, transients still in it (q, L)
     variance: Real  # E|error|² of each line: noise, and the idle model's own
     own: Real  # variance of H0·F that the covariance of the idle model leaves; 0 where it has none
-    decays: Complex  # free decays (two real amplitudes a ringing mode) in modal acceleration (2r, L)
-    decay_shapes: Real  # (q, 2r)
-    decay_size: Real  # largest amplitudes to be expected of the decays (2r,)
+    nuisance: Complex  # modal accelerations: free decays (two real amplitudes a ringing mode), then what another day leaves open (J, L)
+    nuisance_shapes: Real  # (q, J)
+    nuisance_prior: Real  # inverse covariance of their amplitudes (J, J)
+    ringing: int  # r, of J = 2r + 2n
+    shapes: Real  # of all modes, as the sensors show them (q, terms)
+    beside: Complex  # accelerations that the sensors show beside those of their DOFs (q, L)
+    changing: NDArray[np.int_]  # modes whose frequency, then damping, the columns after the decays change (2n,)
     force_level: float  # rms of all forces [N]
 
     @property
@@ -72,7 +74,9 @@ class Run:
 
     def on(self, keep: NDArray[Any] | slice) -> Run:
         """The run on some of its lines."""
-        some = {name: getattr(self, name)[..., keep] for name in ("lines", "hz", "kernel", "error", "variance", "own", "decays")}
+        some = {
+            name: getattr(self, name)[..., keep] for name in ("lines", "hz", "kernel", "error", "variance", "own", "nuisance", "beside")
+        }
         return replace(self, **some)
 
     def without(self, bands: Sequence[tuple[float, float]]) -> Run:
@@ -98,18 +102,18 @@ class Run:
     def accelerance(self, modes: Modes, b: Real) -> Complex:
         """Accelerations of the measured rows per unit force along b, (q, L)."""
         gain = self.kernel * (modes.phi.T @ b)[:, None]
-        return np.asarray(-(self.omega**2) * (modes.phi[self.rows] @ gain))
+        return np.asarray(-(self.omega**2) * (self.shapes @ gain))
 
     def fallen(self, amplitudes: Real) -> Complex:
-        """Free decays of given amplitudes at the responses, (q, L)."""
-        return np.asarray(self.decay_shapes @ (amplitudes[:, None] * self.decays))
+        """What amplitudes of free decays and of another day make at the responses, (q, L)."""
+        return np.asarray(self.nuisance_shapes @ (amplitudes[:, None] * self.nuisance))
 
 
-def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[float, float], seen: Seen | None = None) -> Run:
+def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[float, float], day: Day | None = None) -> Run:
     """Spectra of one record and what the idle model (``modes``: as arrays) leaves of its responses on the lines of a band [Hz].
 
-    Velocities and displacements are brought to accelerations by powers of iω. ``seen`` stands for the idle model where sensors show
-    something else than its shapes.
+    Velocities and displacements are brought to accelerations by powers of iω. On another day sensors show something else than shapes of the
+    idle model, and its frequencies and damping are known less well: their errors are fitted beside each force, as the free decays are.
     """
     known = {d.key for d in idle.dofs}
     where = record.name or None
@@ -144,16 +148,22 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     rows_ = np.asarray(rows)
     directions = np.zeros((len(at), len(idle.dofs)))
     directions[np.arange(len(at)), np.asarray(at)] = 1.0
-    shown = None if seen is None else seen(f, rows_, at)
-    if shown is None:
-        drive = (directions @ modes.phi).T @ forces[:, lines]
-        predicted = -((2 * np.pi * f) ** 2) * (modes.phi[rows_] @ (kernel * drive))
-    else:
-        predicted = np.einsum("lqk,kl->ql", shown, forces[:, lines])
+    moving = -((2 * np.pi * f) ** 2) * kernel * ((directions @ modes.phi).T @ forces[:, lines])
+    shapes = (modes.phi if day is None else day.shown)[rows_]
+    seen = None if day is None else day.seen(f, rows_, at)
+    predicted = shapes @ moving if seen is None else np.einsum("lqk,kl->ql", seen, forces[:, lines])
+    error = responses[:, lines] - predicted
     ringing = modes.ringing(record.sampling_hz)
-    decays = free_decays(f, modes.poles[ringing], 1 / record.sampling_hz)
-    shapes = modes.phi[np.ix_(rows_, ringing)]
+    nuisance = free_decays(f, modes.poles[ringing], 1 / record.sampling_hz)
+    prior = np.diag(1 / np.maximum(decay_sizes(modes, ringing, directions, forces, hz, float(f[0])), 1e-150) ** 2)
+    changing, beside = np.zeros(0, int), np.zeros(error.shape, complex)
     level = np.mean(np.abs(responses[:, lines]) ** 2, axis=1, keepdims=True)
+    if day is not None:
+        changing = np.concatenate([day.modes, day.modes])
+        moving = moving_modes(shapes, moving, error, START_NOISE**2 * level)
+        beside = (shapes - modes.phi[rows_]) @ moving
+        nuisance = np.concatenate([nuisance, day.slopes(modes, kernel, moving, f)])
+        prior = block_diag(prior, np.linalg.inv(day.covariance))
     own = own_variance(idle, rows_, tuple(int(i) for i in at), forces[:, lines], f)
     return Run(
         record.name,
@@ -167,14 +177,28 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         lines,
         f,
         kernel,
-        responses[:, lines] - predicted,
+        error,
         START_NOISE**2 * level + own,
         own,
-        decays,
-        np.concatenate([shapes, shapes], axis=1),
-        decay_sizes(modes, ringing, directions, forces, hz, float(f[0])),
+        nuisance,
+        shapes[:, [*ringing, *ringing, *changing]],
+        prior,
+        ringing.size,
+        shapes,
+        beside,
+        changing,
         float(np.sqrt(np.mean(data[list(driven)] ** 2))),
     )
+
+
+def moving_modes(shapes: Real, predicted: Complex, error: Complex, noise: Real) -> Complex:
+    """Modal accelerations (terms, L) under all forces: those predicted under the measured ones, and what the errors (q, L) show of others.
+
+    Weighted by the variance of the responses (q, 1), and by the mean power of what is predicted.
+    """
+    weighted = shapes / noise
+    gram = weighted.T @ shapes + np.diag(1 / np.maximum(np.mean(np.abs(predicted) ** 2, axis=1), 1e-300))
+    return np.asarray(predicted + np.linalg.solve(gram, weighted.T @ error))
 
 
 def own_variance(idle: ModalModel, rows: NDArray[np.int_], driven: Sequence[int], forces: Complex, hz: Real) -> Real:

@@ -1,0 +1,118 @@
+"""Records of another day than that of the idle model: what FRFs of that day leave open of it is fitted beside each force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from nonlinear_truth import Strip, measure_many, place
+from operando.diagnosis import diagnose_records
+from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_case, std_of
+from operando.diagnosis.records.day import powers
+from operando.diagnosis.records.motion import measured_share
+from operando.structure import ForceLaw
+from operando.structure.modal_space import Modes
+
+STRIP = Strip(seed=3)
+STIFFNESS, GAP = 8e3, 6e-4
+SHIFT, LOSS = 0.002, 0.05
+"""Standard deviations by which frequencies and damping ratios of the day are wrong."""
+
+
+@cache
+def records():
+    hidden = [(place(STRIP, 4), "one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP})]
+    return measure_many(STRIP, {"contact": hidden}, seconds=12.0, run_in=3.0)["contact"]
+
+
+def day_with(sensor_gains=None, sensor_std=0.0, force_std=0.0, open_=True) -> Day:
+    """The day as FRFs have it that are wrong in all frequencies and damping ratios; ``open_`` says that they are."""
+    idle, rng = STRIP.idle(), np.random.default_rng(4)
+    terms, n, m = idle.terms, int(np.count_nonzero(idle.in_band)), len(idle.dofs)
+    f, zeta = np.array(terms.frequencies_hz), np.array(terms.damping_ratios)
+    f[:n] *= 1 + SHIFT * rng.standard_normal(n)
+    zeta[:n] *= 1 + LOSS * rng.standard_normal(n)
+    covariance = np.diag(np.repeat([SHIFT, LOSS], n) ** 2) * (1.0 if open_ else 1e-8)
+    gains = np.ones(m) if sensor_gains is None else sensor_gains
+    wrong = idle.with_terms(frequencies_hz=f, damping_ratios=zeta)
+    shown = np.array(terms.shapes)
+    return Day(wrong, shown, np.arange(n), covariance, gains, np.full(m, sensor_std), {}, force_std, lambda hz, rows, driven: None)
+
+
+@cache
+def spot(open_: bool) -> tuple[Spot, Day]:
+    day = day_with(open_=open_)
+    case = make_case(day.idle, records(), places=[(4,)], day=day)
+    return examine(Sets.of(case), (4,)), day
+
+
+def test_the_effect_is_found_where_the_day_is_open_and_not_where_it_is_taken_for_exact():
+    kinds = ["one_sided_contact", "bilinear_stiffness", "ground_spring", "clearance"]
+    places = [(STRIP.idle().dofs[i],) for i in range(8)]
+    made = {o: diagnose_records(STRIP.idle(), records(), kinds=kinds, places=places, day=day_with(open_=o)) for o in (True, False)}
+    (effect,) = made[True].effects
+    assert made[True].verdict == "explained"
+    assert (effect.kind, str(effect.location[0])) == ("one_sided_contact", str(STRIP.idle().dofs[4]))
+    for name, true in (("stiffness", STIFFNESS), ("gap", GAP)):
+        assert abs(effect.values[name] - true) < max(2.5 * effect.std[name], 0.01 * true)
+    assert made[False].verdict != "explained"
+
+
+def test_slopes_are_those_of_the_modal_accelerations():
+    idle, day = STRIP.idle(), day_with()
+    hz = np.linspace(6.0, 90.0, 40)
+
+    def accelerations(modes: Modes) -> np.ndarray:
+        return -((2 * np.pi * hz) ** 2) * modes.receptance_kernel(hz) * (1 + 2j)
+
+    modes, step, n = Modes.of(idle), 1e-6, day.modes.size
+    made = day.slopes(modes, modes.receptance_kernel(hz), accelerations(modes), hz)
+    for name, rows in (("hz", made[:n]), ("zeta", made[n:])):
+        moved = replace(modes, **{name: getattr(modes, name) * (1 + step)})
+        wanted = ((accelerations(moved) - accelerations(modes)) / step)[day.modes]
+        np.testing.assert_allclose(rows, wanted, rtol=1e-3, atol=1e-6 * np.abs(wanted).max())
+
+
+def test_motion_is_measured_where_the_day_is_open_and_modelled_where_it_is_exact():
+    for open_, wanted in ((True, 0.9), (False, 0.1)):
+        place_, day = spot(open_)
+        along = place_.whole[0].along
+        across = Modes.of(day.idle).phi.T @ along.b
+        noise = along.b[along.run.rows] ** 2 @ along.run.variance
+        share = measured_share(along, across, noise)
+        assert np.all((share >= 0) & (share <= 1))
+        resonance = int(np.argmin(np.abs(along.run.hz - day.idle.frequencies_hz[0])))
+        assert (share[resonance] > 0.9) if open_ else (share.max() < wanted)
+
+
+def test_gains_of_the_channels_are_taken_out():
+    gains = np.linspace(0.9, 1.1, len(STRIP.idle().dofs))
+    record = records()[0]
+    keys = [d.key for d in STRIP.idle().dofs]
+    bare = day_with(gains).corrected(record)
+    for i in record.response_indices:
+        np.testing.assert_allclose(bare.data[i] * gains[keys.index(record.channels[i].dof.key)], record.data[i])
+    for i in record.force_indices:
+        np.testing.assert_array_equal(bare.data[i], record.data[i])
+
+
+@pytest.mark.parametrize(
+    ("unit", "wanted"), [("N/m", (-1, 1)), ("m", (1, 0)), ("N/m3", (-3, 1)), ("N s2/m2", (-2, 1)), ("N", (0, 1)), ("", (0, 0))]
+)
+def test_powers_of_metre_and_newton(unit, wanted):
+    assert powers(unit) == wanted
+
+
+def test_gains_that_are_not_known_widen_the_intervals_by_the_powers_of_the_unit():
+    where, _ = spot(True)
+    tried = Tried.of(where, ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP}))
+    sure = std_of(tried, day_with())
+    assert sure == std_of(tried)
+    motion, force = 0.03, 0.02
+    unsure = std_of(tried, day_with(sensor_std=motion, force_std=force))
+    added = {n: np.sqrt(unsure[n] ** 2 - sure[n] ** 2) / tried.law.values[n] for n in sure}
+    assert added["stiffness"] == pytest.approx(np.hypot(motion, force), rel=0.1)
+    assert added["gap"] == pytest.approx(motion, rel=0.1)
