@@ -106,6 +106,26 @@ def test_where_the_location_of_an_effect_is_distorted_the_records_are_looked_at(
         assert any("4+Z holds 5 times" in note and "no level-dependent effect" in note for note in made.notes)
 
 
+@pytest.mark.parametrize(
+    ("name", "rest", "share", "looked"),
+    [("none", True, 0.9, False), ("none", True, 1.1, True), ("none", False, 0.9, True), ("quadratic", True, None, True)],
+)
+def test_records_in_which_nothing_depends_on_the_level_are_not_searched_for_a_law(monkeypatch, name, rest, share, looked):
+    """Levels agree in FRFs, and in what is not proportional to the force up to ``FAINT``; that is also held against the idle FRFs."""
+    looks = []
+    seen = SimpleNamespace(nonlinear=(), effects=(), equivalents=(), verdict="no_misfit", ladder=({"heldout_misfit": 1.0},))
+    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: looks.append(1) or seen)
+    monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
+    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
+    if share is not None:
+        monkeypatch.setattr(from_records, "measured_distortion", lambda *a: share * from_records.FAINT)
+    linear = replace(found("spring"), verdict="unexplained", effects=(), model=None)
+    idle_frf = at_rest() if rest else None
+    made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()[name], idle_frf=idle_frf)
+    assert made is linear
+    assert bool(looks) is looked
+
+
 def test_a_clearance_is_found_from_the_records():
     made = found("clearance")
     assert [e.kind for e in made.effects] == ["clearance"]
