@@ -103,9 +103,9 @@ class Idle:
         DOF between sensors → its position [m]; None of a motion that no sensor shows, which has none.
     lacking : int, optional
         A mode that the idle model lacks, there only with an effect of that kind.
-    bend : (2, terms, g, g) array, optional
-        How g moves ``f_root`` and ``zeta_root`` themselves: where damping ties modes, a straight way of the poles is a bent one of these
-        (:func:`operando.diagnosis.poles.with_straight_poles`).
+    bend : (2, bent, g, g) array, optional
+        How g moves ``f_root`` and ``zeta_root`` of the terms ``bent`` themselves: where damping ties modes, a straight way of the poles
+        is a bent one of these (:func:`operando.diagnosis.poles.with_straight_poles`).
     first_order : bool
         Whether what residual terms add is linear in their changes δ: b bᵀ + b δᵀ + δ bᵀ. Their products were measured and are known well,
         where the shapes b are not, and the squares of these make a valley that fits crawl along. At places between sensors no product was
@@ -132,6 +132,7 @@ class Idle:
     midway: dict[int, tuple[float, float, float] | None] = field(default_factory=dict)
     lacking: int | None = None
     bend: Array | None = None
+    bent: Array = field(default_factory=lambda: np.zeros(0, int))
     first_order: bool = True
     exact: bool = False
 
@@ -245,9 +246,10 @@ class Idle:
         by_f, by_zeta = self.f_root, self.zeta_root
         f, zeta = self.f + by_f @ g, self.zeta + by_zeta @ g
         if self.bend is not None:
-            turn = self.bend @ g
-            f_turn, zeta_turn = turn @ g / 2
-            f, zeta, by_f, by_zeta = f + f_turn, zeta + zeta_turn, by_f + turn[0], by_zeta + turn[1]
+            by_f, by_zeta = by_f.copy(), by_zeta.copy()
+            for values, slopes, turn in zip((f, zeta), (by_f, by_zeta), self.bend @ g, strict=True):
+                values[self.bent] += turn @ g / 2
+                slopes[self.bent] += turn
         assumed = self.assumed
         zeta = np.where(assumed, self.zeta * np.exp(self.residual_damping @ g), zeta)
         return f, zeta, by_f, np.where(assumed[:, None], zeta[:, None] * self.residual_damping, by_zeta)

@@ -83,6 +83,7 @@ class Placed:
         self.blocks, self.size = order.size, idle.forward.n_own
         self.without = self._laid(idle.known)
         self._slopes: Slopes | None = None
+        self._known: dict[bytes, Array] = {}  # how far points moved the rows since derivatives were made last: each is asked for again
         self.information = Information(*(0 * part for part in (self.without.shared, self.without.across, self.without.own)))
 
     def _laid(self, part: Information) -> Information:
@@ -111,17 +112,23 @@ class Placed:
 
     def derive(self, x: Point) -> None:
         """Derivatives at a point, and the information beyond that of the normal prior."""
-        self._slopes = self.idle.slopes(x)
+        self._slopes, self._known = self.idle.slopes(x), {}
         there = self._laid(self._slopes.information(self.idle.weights))
         self.information = there + self.without * -1.0
 
+    def _moved(self, x: Point) -> Array:
+        key = x.g.tobytes() + x.own.tobytes()
+        if key not in self._known:
+            self._known[key] = self.idle.moved(x)
+        return self._known[key]
+
     def value(self, x: Point, shared: Array, own: Array) -> float:
         """Beyond the normal prior, of a point whose unknowns are (n,) and (blocks, k)."""
-        return 0.5 * (float(np.sum(self.idle.moved(x) ** 2 * self.idle.weights)) - self.without.quadratic(shared, own))
+        return 0.5 * (float(np.sum(self._moved(x) ** 2 * self.idle.weights)) - self.without.quadratic(shared, own))
 
     def gradient(self, x: Point, shared: Array, own: Array) -> tuple[Array, Array]:
         """Of the value, with the derivatives made last."""
-        by_shared, by_own = self._along(self.idle.moved(x) * self.idle.weights)
+        by_shared, by_own = self._along(self._moved(x) * self.idle.weights)
         straight, straight_own = self.without.times(shared, own)
         return by_shared - straight, by_own - straight_own
 
@@ -129,5 +136,5 @@ class Placed:
         """Jᵀ of the negative bend of the rows along a step, of g and of the own unknowns by DOF, from the rows a part of it on."""
         assert self._slopes is not None
         straight = self._slopes.moved(step, own[self.idle.responses])
-        bend = (self.idle.moved(part_way) - self.idle.moved(x) - part * straight) / part**2
+        bend = (self._moved(part_way) - self._moved(x) - part * straight) / part**2
         return self._along(-bend * self.idle.weights)

@@ -109,6 +109,5 @@ def _grown(state: State, hz: float, zeta: float, shape: Array) -> Idle:
         between_root=between[:, 1:],
         shapes=wider(idle.shapes, np.full(dofs, spread)),
         lags=wider(idle.lags, np.zeros(dofs)),
-        bend=None if idle.bend is None else np.pad(idle.bend, ((0, 0), (0, 1), (0, 0), (0, 0))),
         lacking=terms,
     )

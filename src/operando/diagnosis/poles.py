@@ -32,17 +32,17 @@ def with_straight_poles(idle: Idle) -> Idle:
     """
     if not idle.between_root.any():
         return idle
-    n, size = idle.f_root.shape
+    size = idle.f_root.shape[1]
     tied = _modes_alone(idle)  # nothing ties residual terms: without them an eigenproblem takes a tenth of the time
     moving = np.flatnonzero((tied.f_root != 0).any(axis=1) & (tied.zeta_root != 0).any(axis=1))
     rows = np.concatenate([moving, tied.f.size + moving])
     held = np.linalg.inv(poles(tied)[0].by_terms[np.ix_(rows, rows)])
-    bend = np.zeros((2, n, size, size))
-    where = np.repeat([0, 1], moving.size), np.tile(idle.modes[moving], 2)
+    bend = np.zeros((2 * moving.size, size, size))
     for at, step in enumerate(_STEP * np.eye(size)):
         ahead, behind = (_poles_at(tied, g)[1][rows] for g in (step, -step))
-        bend[*where, at] = -held @ (ahead - behind) / (2 * _STEP)
-    return replace(idle, bend=(bend + np.swapaxes(bend, 2, 3)) / 2)
+        bend[:, at] = -held @ (ahead - behind) / (2 * _STEP)
+    bend = (bend + np.swapaxes(bend, 1, 2)).reshape(2, moving.size, size, size) / 2
+    return replace(idle, bend=bend, bent=idle.modes[moving])
 
 
 def _modes_alone(idle: Idle) -> Idle:
