@@ -110,12 +110,17 @@ def test_steps_and_sides_of_held_sizes_are_fine_and_far_enough(monkeypatch, fall
 
 @pytest.mark.parametrize(("alpha", "searches"), [(1.01 * LOOSE, 1), (0.99 * LOOSE, 3)])
 def test_locations_between_sensors_are_searched_once_where_none_leaves_little(monkeypatch, alpha, searches):
-    """What a state has to score does not change what it leaves; a lower bar ends a search later, so that one is run again."""
-    case = SimpleNamespace(uncompressed=None, at_rest=AsItIs(), forward=SimpleNamespace(start=None))
+    """What a state has to score does not change what it leaves; a lower bar ends a search later, so that one is run again.
+
+    Locations are laid and scanned once.
+    """
+    idle = SimpleNamespace(midway={9: (0.5, 0.0, 0.0)})
+    case = SimpleNamespace(uncompressed=None, idle=idle, at_rest=AsItIs(), forward=SimpleNamespace(start=None))
     ended = SimpleNamespace(alpha=alpha, log_evidence=-50.0, terms=())
-    ran = []
-    monkeypatch.setattr(hypotheses, "with_midway", lambda idle, geometry: SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))
-    monkeypatch.setattr(hypotheses, "robust_scan", lambda case, x: [(-1.0, Term("ground_spring", (9,), (1.0,)), False)])
+    ran, laid, scans = [], [], []
+    monkeypatch.setattr(hypotheses, "with_midway", lambda uncompressed, geometry: laid.append(1) or idle)
+    rows = [(-1.0, Term("ground_spring", (9,), (1.0,)), False)]
+    monkeypatch.setattr(hypotheses, "robust_scan", lambda case, x: scans.append(1) or rows)
     monkeypatch.setattr(hypotheses, "Rival", lambda days, alone: SimpleNamespace(score=0.0))
     monkeypatch.setattr(hypotheses, "score", lambda state: state.log_evidence)
     monkeypatch.setattr(hypotheses, "search", lambda *args, **how: ran.append(args) or SimpleNamespace(best=ended))
@@ -126,6 +131,7 @@ def test_locations_between_sensors_are_searched_once_where_none_leaves_little(mo
     assert len(ran) == searches
     both.one_between_sensors(found, -7.0)
     assert len(ran) == searches + 1
+    assert (len(laid), len(scans)) == (1, 1)
 
 
 @pytest.mark.parametrize(("alpha", "count"), [(0.99 * EXPLAINED, 2), (EXPLAINED, 1)])

@@ -266,18 +266,18 @@ def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count
     As many do where one acts on the sum of two motions, which no part at these sensors has.
     """
     monkeypatch.setattr(elsewhere, "on_a_sum", lambda state, geometry: on_sum)
-    idle = SimpleNamespace(midway={9: (0.5, 0.0, 0.0)})
+    cases = [SimpleNamespace(idle=SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))] * 2
     at_sensors = SimpleNamespace(
         terms=(Term("ground_damper", (1,), (1.0,)), Term("ground_damper", (2,), (1.0,))), alpha=1e-3, log_evidence=0.0
     )
     there = SimpleNamespace(terms=tuple(Term("ground_damper", (9 + i,), (1.0,)) for i in range(count)), alpha=1e-3, log_evidence=worth)
-    monkeypatch.setattr(elsewhere, "with_midway", lambda *args: idle)
+    monkeypatch.setattr(elsewhere, "cases_between_sensors", lambda *args: cases)
     monkeypatch.setattr(elsewhere, "search", lambda *args, **how: Found(there, there, {}))
     monkeypatch.setattr(elsewhere, "with_likely_sizes", lambda found, say: found)
     monkeypatch.setattr(elsewhere, "score", lambda state: state.log_evidence)
     empty = SimpleNamespace(case=SimpleNamespace(uncompressed=SimpleNamespace(midway={})))
     found = Found(at_sensors, empty, {}, odds=10.0)
-    got = search_between_sensors(found, lambda idle: [None, None], BEAM, lambda text: None, 1)
+    got = search_between_sensors(found, lambda idle: [], BEAM, lambda text: None, 1)
     assert got.best is (there if taken else at_sensors)
     assert got.odds == 10.0
 
@@ -441,11 +441,12 @@ def test_between_sensors_one_step_is_made_where_no_laboratory_has_such_days(monk
     )
     found, asked = Found(state, state, {}, odds=-1000.0), []
     monkeypatch.setattr(elsewhere, "no_other_day", lambda best: no_laboratory)
-    monkeypatch.setattr(elsewhere, "with_midway", lambda idle, geometry: SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))
-    monkeypatch.setattr(elsewhere, "search", lambda case, say, **how: asked.append((case, how["depth"])) or found)
+    cases = [SimpleNamespace(name=name, idle=SimpleNamespace(midway={9: (0.5, 0.0, 0.0)})) for name in ("days", "one set-up")]
+    monkeypatch.setattr(elsewhere, "cases_between_sensors", lambda *args: cases)
+    monkeypatch.setattr(elsewhere, "search", lambda case, say, **how: asked.append((case.name, how["depth"])) or found)
     monkeypatch.setattr(elsewhere, "with_likely_sizes", lambda found, say: found)
     monkeypatch.setattr(elsewhere, "score", lambda state: 0.0)
-    assert search_between_sensors(found, lambda idle: ("days", "one set-up"), object(), lambda text: None, 2) is found
+    assert search_between_sensors(found, lambda idle: [], object(), lambda text: None, 2) is found
     assert asked == [("days", depth)]
 
 

@@ -35,12 +35,13 @@ COLUMNS = 24
 class AsItIs:
     """What was looked for about the idle model as it is: the same whatever the spreads.
 
-    ``robust`` are rows of the robust scan, ``grown`` models with a mode more. ``no_mode`` are models with a mode that reached no score, and
-    that score; ``no_location`` is the score that no location between sensors reached.
+    ``robust`` are rows of the robust scan, ``grown`` models with a mode more, ``wider`` cases with locations between sensors. ``no_mode``
+    are models with a mode that reached no score, and that score; ``no_location`` is the score that no location between sensors reached.
     """
 
     robust: list[tuple[float, Term, bool]] = field(default_factory=list)
     grown: list[Idle] = field(default_factory=list)
+    wider: Sequence[Case] | None = None
     no_mode: list[tuple[Idle, float]] = field(default_factory=list)
     no_location: float = np.inf
     idle_lines: IdleLines | None = None

@@ -10,10 +10,10 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.days import no_other_day
 from operando.diagnosis.found import Found
-from operando.diagnosis.hypotheses import AT_FIRST, Hypotheses
+from operando.diagnosis.hypotheses import AT_FIRST, Hypotheses, cases_between_sensors
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking_mode import apart, grown_by_a_mode, with_mode
-from operando.diagnosis.midway import on_a_sum, with_midway
+from operando.diagnosis.midway import on_a_sum
 from operando.diagnosis.posterior import State
 from operando.diagnosis.rival import score
 from operando.diagnosis.scan import Say
@@ -32,11 +32,11 @@ def search_between_sensors(found: Found, again: Again, geometry: Geometry | None
     ``count`` effects are looked for, one after the other. Without a geometry there is nothing between the sensors.
     """
     known, odds = found.empty.case.uncompressed, found.odds
-    wider = None if geometry is None or not count or known.midway else with_midway(known, geometry)
-    if wider is None:
+    cases = () if geometry is None or not count or known.midway else cases_between_sensors(found.empty.case, again, geometry)
+    if not cases:
         return found
-    say(f"{len(wider.midway)} locations between sensors:")
-    cases = again(wider)
+    midway = cases[0].idle.midway
+    say(f"{len(midway)} locations between sensors:")
     same = len(cases) > 1 and odds is not None and odds > 0
     if count > 1 and len(cases) > 1 and odds is not None and odds > -_ANOTHER_DAY:
         other = Hypotheses(cases[0], cases[1], say, depth=count).run()
@@ -50,7 +50,7 @@ def search_between_sensors(found: Found, again: Again, geometry: Geometry | None
     if count == 1:  # what is there explains the lines, with shapes that are known: one effect is an answer where it stands for several
         fewer = len(found.best.terms) - len(other.best.terms) if other.best.alpha < EXPLAINED else -1
         bar = bar - WAYS if fewer > 0 else bar if fewer == 0 and on_a_sum(found.best, geometry) else float("inf")
-    there = any(t.places and t.places[0] in wider.midway for t in other.best.terms)
+    there = any(t.places and t.places[0] in midway for t in other.best.terms)
     return other if there and score(other.best) > bar else found
 
 

@@ -290,21 +290,22 @@ class Hypotheses:
         lowest, in_vain = -np.inf if bar is None else bar, found.empty.case.at_rest
         asked = max(score(self.alone), lowest)
         known = asked >= in_vain.no_location
-        wider = None if known else with_midway(found.empty.case.uncompressed, self.geometry)
-        if wider is None:
+        wider = () if known else cases_between_sensors(found.empty.case, self.again, self.geometry)
+        if not wider:
             return None
-        days, one_set_up = self.again(wider)
-        scanned = one_set_up.at_rest.robust = robust_scan(one_set_up, one_set_up.forward.start)
+        days, one_set_up = wider
+        midway = one_set_up.idle.midway
+        scanned = one_set_up.at_rest.robust = one_set_up.at_rest.robust or robust_scan(one_set_up, one_set_up.forward.start)
         if not scanned:
             return None
         if bar is None:
             least = {True: np.inf, False: np.inf}  # of locations between sensors, and of sensors
             for value, term, _ in scanned:
-                there = bool(wider.midway.keys() & set(term.places))
+                there = bool(midway.keys() & set(term.places))
                 least[there] = min(least[there], -value)
             if not least[True] < part * least[False]:
                 return None
-        self.say(f"{len(wider.midway)} locations between sensors, with nothing touched:")
+        self.say(f"{len(midway)} locations between sensors, with nothing touched:")
         rival = Rival(days, self.alone)
         rival.score = asked
         found = search(one_set_up, self.say, rival, depth=1)
@@ -314,10 +315,18 @@ class Hypotheses:
             return None
         found = with_likely_sizes(found, self.say)
         best = found.best
-        if not self.explains(best) or score(best) < lowest or not wider.midway.keys() & {i for t in best.terms for i in t.places}:
+        if not self.explains(best) or score(best) < lowest or not midway.keys() & {i for t in best.terms for i in t.places}:
             return None
         odds = score(best) - rival.asked([best.terms], best.alpha, best.log_evidence)
         return replace(found, odds=odds) if odds > EARNED else None
+
+
+def cases_between_sensors(case: Case, again: Callable[[Idle], Sequence[Case]], geometry: Geometry) -> Sequence[Case]:
+    """The same lines with locations between sensors; none where there are no such locations. Made once."""
+    if case.at_rest.wider is None:
+        wider = with_midway(case.uncompressed, geometry)
+        case.at_rest.wider = () if wider is None else again(wider)
+    return case.at_rest.wider
 
 
 def as_channels_were(known: Sequence[State], say: Say) -> Found | None:
