@@ -1081,6 +1081,19 @@ def test_one_set_up_is_given_up_where_no_second_effect_takes_half_of_what_is_lef
         assert not run.outdone(state, 80.0, 100.0)  # 0.8: where one is missing
 
 
+@pytest.mark.parametrize(("depth", "gains", "asked"), [(1, 0.08, False), (2, 0.08, True), (1, 0.01, True)])
+def test_a_last_step_that_explains_nothing_asks_no_other_hypothesis(depth, gains, asked):
+    """Whether one more effect is worth looking for is no question then, nor whether the state is an answer."""
+    gains = 1 + gains * np.random.default_rng(3).standard_normal(N)
+    same = case(add_mass, gains=gains, spreads=SAME_SET_UP)
+    sets = []
+    nothing_is_enough = SimpleNamespace(score=np.inf, asked=lambda some, *given: sets.extend(some) or np.inf)
+    run = Search(same, lambda text: None, rival=nothing_is_enough, depth=depth)
+    best = run.run().best
+    assert best.terms
+    assert bool(sets) == asked == (depth > 1 or best.alpha < EXPLAINED)
+
+
 def test_a_fit_ends_where_values_stay_out_of_their_range(monkeypatch):
     turns = []
     whole = Descent.turn

@@ -260,6 +260,8 @@ class Search:
             rests = [[t for t in now.terms if t is not term] for term in now.terms]
             self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if self.once(rest)])
         best = self.best()
+        if self.depth == 1 and best.alpha >= EXPLAINED:  # no further step, and no answer
+            return False
         if not self._enough() and (self._behind(was, 0.5, best.terms) or (self.rival is not None and remounted(best))):
             return False
         grown = len(best.terms) > len(was.terms)
@@ -286,8 +288,9 @@ class Search:
         best = self.best()
         if first.terms and len(best.terms) > len(first.terms) and self.case.exactly() is not self.case:
             self.say("with the idle FRFs themselves:")
-            cases = [state.case.exactly() for state in (first, best)]
-            self.fitted([Start(started(c, s.terms), s.alpha, c) for c, s in zip(cases, (first, best), strict=True)], floor=-np.inf)
+            # the prior that does not bend frees more: what its further effects do not earn under that they earn under none
+            states = [first, best] if score(best) > score(self.pool.get(first.key, first)) else [first]
+            self.fitted([Start(started(c, s.terms), s.alpha, c) for s in states for c in [s.case.exactly()]], floor=-np.inf)
 
     def _settle(self) -> None:
         """The most probable state to the end of its fit, beside the states with one effect less; then what could stand in its place."""
