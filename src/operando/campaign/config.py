@@ -26,27 +26,14 @@ _GIVES = 'give tests = ["runs/{speed}/test.toml"], or template = "test.toml" wit
 
 @dataclass(frozen=True)
 class Workers:
-    """What the tests run on.
+    """What the tests run on."""
 
-    Parameters
-    ----------
-    processes : int or None
-        Local processes (None: one a processor).
-    scheduler : str or None
-        Address of a Dask scheduler.
-    cluster : {"slurm", "kubernetes"} or None
-        A cluster to be started through dask-jobqueue or dask-kubernetes.
-    jobs : int
-        Its workers.
-    options : mapping
-        For the cluster's own constructor (queue, memory, image …).
-    """
-
-    processes: Count | None = None
-    scheduler: Name | None = None
+    processes: Count | None = None  # local processes (None: one a processor)
+    scheduler: Name | None = None  # address of a Dask scheduler
+    # a cluster to be started through dask-jobqueue or dask-kubernetes
     cluster: Annotated[str, choice(CLUSTERS)] | None = None
-    jobs: Count = 1
-    options: dict[str, Any] = field(default_factory=dict)
+    jobs: Count = 1  # its workers
+    options: dict[str, Any] = field(default_factory=dict)  # for the cluster's own constructor (queue, memory, image …)
 
 
 class Entries(TypedDict, total=False):

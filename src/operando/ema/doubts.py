@@ -41,31 +41,16 @@ SAME_SHARE = 0.002
 
 @dataclass(frozen=True)
 class Evidence:
-    """What speaks for one pole.
+    """What speaks for one pole."""
 
-    Parameters
-    ----------
-    evidence : float
-        Fall of −log likelihood by the mode, in independent lines.
-    rank_share : float
-        Part of the residue matrix that one (complex) shape explains, weighted; 1 for a single column.
-    collinearity : float
-        Modal phase collinearity of the residues, weighted.
-    dominance : float
-        Share of the modes' power at its resonance that it exceeds in one pair of ten.
-    quadrature, drift : float
-        Typical size of the quadrature part over the residue, and of the relative shift between the pairs.
-    doubts : tuple of (code, reason)
-        Empty for a mode.
-    """
-
-    evidence: float
-    rank_share: float
-    collinearity: float
-    dominance: float
+    evidence: float  # fall of −log likelihood by the mode, in independent lines
+    rank_share: float  # part of the residue matrix that one (complex) shape explains, weighted; 1 for a single column
+    collinearity: float  # modal phase collinearity of the residues, weighted
+    dominance: float  # share of the modes' power at its resonance that it exceeds in one pair of ten
+    # quadrature, drift: typical size of the quadrature part over the residue, and of the relative shift between the pairs
     quadrature: float
     drift: float
-    doubts: tuple[tuple[str, str], ...] = ()
+    doubts: tuple[tuple[str, str], ...] = ()  # empty for a mode
 
 
 def evidence_of_modes(fit: LinearFit) -> list[Evidence]:

@@ -29,28 +29,15 @@ CANCELLED = 1e-6
 
 @dataclass(frozen=True)
 class Residues:
-    """Residues of a receptance model.
+    """Residues of a receptance model."""
 
-    Parameters
-    ----------
-    poles : (n,) complex array
-        λ [rad/s], positive imaginary part.
-    residues : (n_resp, n_ref, n) complex array
-        R_r; for real modes of unit modal mass φφᵀ/(2iω_d).
-    lower, upper : (n_resp, n_ref) real arrays
-        L [1/kg] and U [m/N]; 0 where the term was left out.
-    relative_error : (n_resp, n_ref) array
-        Norm of what is left over the norm of the FRF.
-    shapes : (n_resp, n) complex array or None
-        ψ of R = ψuᵀ where participation vectors u were given.
-    """
-
-    poles: NDArray[np.complex128]
-    residues: NDArray[np.complex128]
+    poles: NDArray[np.complex128]  # (n,): λ [rad/s], positive imaginary part
+    residues: NDArray[np.complex128]  # (n_resp, n_ref, n): R_r; for real modes of unit modal mass φφᵀ/(2iω_d)
+    # lower, upper (n_resp, n_ref): L [1/kg] and U [m/N]; 0 where the term was left out
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
-    relative_error: NDArray[np.float64]
-    shapes: NDArray[np.complex128] | None = None
+    relative_error: NDArray[np.float64]  # (n_resp, n_ref): norm of what is left over the norm of the FRF
+    shapes: NDArray[np.complex128] | None = None  # (n_resp, n): ψ of R = ψuᵀ where participation vectors u were given
 
     def frf(self, frequencies_hz: ArrayLike, quantity: str = "accelerance") -> NDArray[np.complex128]:
         """FRFs (n_resp, n_ref, n_lines) of the model."""

@@ -100,26 +100,15 @@ def scales(theta: Parameters, driven: Sequence[int]) -> Real:
 
 @dataclass(frozen=True)
 class Equations:
-    """What a step follows from: a normal matrix and the gradient of the cost, which may be of another place near by.
-
-    Parameters
-    ----------
-    precision : (p,) array
-        Of the prior; infinite for parameters that are held.
-    right : (p,) array
-        Gradient of the global parameters, everything of single runs eliminated.
-    base, rest : tuples of (q,) arrays
-        For each run the change of its own unknowns where the global parameters stay, and their gradient, both scaled.
-    scales : (n, p) array
-        Relative change of each mode's scale at the driven DOFs by each global parameter.
-    """
+    """What a step follows from: a normal matrix and the gradient of the cost, which may be of another place near by."""
 
     information: Information
-    precision: Real
-    right: Real
+    precision: Real  # (p,): of the prior; infinite for parameters that are held
+    right: Real  # (p,): gradient of the global parameters, everything of single runs eliminated
+    # base, rest: for each run the change of its own unknowns where the global parameters stay, and their gradient, both scaled
     base: tuple[Real, ...]
     rest: tuple[Real, ...]
-    scales: Real
+    scales: Real  # (n, p): relative change of each mode's scale at the driven DOFs by each global parameter
 
     @classmethod
     def of(

@@ -22,35 +22,21 @@ NOISE_FLOOR = 1e-8
 
 @dataclass(frozen=True)
 class Pairs:
-    """Measured accelerances in the senses of the model's DOFs, one row a pair.
-
-    Parameters
-    ----------
-    noise : (P, L) array
-        Shape over frequency of the variance E|ΔH|² of the measurement; its size is fitted where ``noise_known`` is false.
-    rows, columns : (P,) int arrays
-        DOF of the model of the response and of the reference.
-    grid : (P, 2) int array
-        Response and reference number of each pair in the FRF matrix.
-    places : (P,) int array
-        Where hammer or sensors stood, in the order of the file: the set-up, or else response or reference, whichever side has more. What
-        is measured at once errs together. −1 for the mean of several set-ups.
-    window_rate : float
-        Rate β [1/s] of the exponential window the FRFs carry.
-    offset : bool
-        Whether the fit has a term 1/s for an offset of the sensors.
-    """
+    """Measured accelerances in the senses of the model's DOFs, one row a pair."""
 
     frequencies_hz: Real
     accelerance: Complex
-    noise: Real
+    noise: Real  # (P, L): shape over frequency of the variance E|ΔH|² of the measurement; its size is fitted where ``noise_known`` is false
     noise_known: bool
+    # rows, columns (P,): DOF of the model of the response and of the reference
     rows: NDArray[np.int_]
     columns: NDArray[np.int_]
-    grid: NDArray[np.int_]
+    grid: NDArray[np.int_]  # (P, 2): response and reference number of each pair in the FRF matrix
+    # (P,): where hammer or sensors stood, in the order of the file: the set-up, or else response or reference, whichever side has more.
+    # What is measured at once errs together. −1 for the mean of several set-ups.
     places: NDArray[np.int_]
-    window_rate: float = 0.0
-    offset: bool = True
+    window_rate: float = 0.0  # rate β [1/s] of the exponential window the FRFs carry
+    offset: bool = True  # whether the fit has a term 1/s for an offset of the sensors
 
     @property
     def drive_points(self) -> NDArray[np.int_]:

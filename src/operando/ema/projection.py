@@ -72,46 +72,23 @@ class Poles:
 
 @dataclass(frozen=True)
 class Projection:
-    """Linear part of the fit at given poles.
+    """Linear part of the fit at given poles."""
 
-    Parameters
-    ----------
-    cost : (P,) array
-        Σ|e|²/variance of each pair, priors included.
-    a, b, shift : (P, n) arrays
-        Residues, quadrature parts, relative shifts δ.
-    shifted : (P, 2n) array
-        δ·a and δ·b (a, b of the round before): what ∂g/∂ln f and ∂h/∂ln f are multiplied by.
-    curvature : (P, L) complex array
-        What shifts add beyond their first order.
-    normal : (2n, 2n) array
-        Gauss–Newton matrix of (ln f, ln ζ) with everything else eliminated.
-    gradient : (P, 2n) array
-        Of each pair: −½ ∂cost.
-    evidence : (P, n) array
-        Rise of the cost without the mode (a and b), the rest refitted.
-    a_std : (P, n) array
-        Standard deviation of a at known poles.
-    slope : (P, n, 2n) array
-        ∂a/∂(ln f, ln ζ).
-    spread_sums : (4, n) array
-        Σγ(b/amplitude)², Σγ², Σγδ², Σγ² over the pairs, with γ = 1 − posterior/prior variance.
-    """
-
-    cost: Real
+    cost: Real  # (P,): Σ|e|²/variance of each pair, priors included
+    # a, b, shift (P, n): residues, quadrature parts, relative shifts δ
     a: Real
     b: Real
     shift: Real
-    shifted: Real
-    curvature: Complex
+    shifted: Real  # (P, 2n): δ·a and δ·b (a, b of the round before): what ∂g/∂ln f and ∂h/∂ln f are multiplied by
+    curvature: Complex  # (P, L): what shifts add beyond their first order
     tails: Real
     error: Complex
-    normal: Real
-    gradient: Real
-    evidence: Real
-    a_std: Real
-    slope: Real
-    spread_sums: Real
+    normal: Real  # (2n, 2n): Gauss–Newton matrix of (ln f, ln ζ) with everything else eliminated
+    gradient: Real  # (P, 2n): of each pair: −½ ∂cost
+    evidence: Real  # (P, n): rise of the cost without the mode (a and b), the rest refitted
+    a_std: Real  # (P, n): standard deviation of a at known poles
+    slope: Real  # (P, n, 2n): ∂a/∂(ln f, ln ζ)
+    spread_sums: Real  # (4, n): Σγ(b/amplitude)², Σγ², Σγδ², Σγ² over the pairs, with γ = 1 − posterior/prior variance
 
     @property
     def coefficients(self) -> Coefficients:

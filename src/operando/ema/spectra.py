@@ -19,41 +19,24 @@ from operando.limits import LEAST_LINES
 
 @dataclass(frozen=True)
 class RunSpectra:
-    """One run in the frequency domain: X = H·F + transient + noise.
-
-    Parameters
-    ----------
-    responses : (m, L) complex array
-        Accelerations, or the accelerance column itself where only FRFs are given.
-    forces : (k, L) complex array
-        Forces; ones for FRF columns.
-    response_rows, response_signs : (m,) arrays
-        Row of each response in the DOF list of the model, and its sense against that DOF.
-    force_rows, force_signs : (k,) arrays
-        The same for the forces.
-    response_variance, force_variance : (m, L), (k, L) arrays
-        E|noise|² of each line; 0 for the force of FRF columns.
-    step_s : float or None
-        Sampling interval; None where there is no transient to model (FRF columns).
-    top_hz : float
-        Last line of the fitted band [Hz]; kept when lines are taken out.
-    window_rate : float
-        Rate β [1/s] of the exponential window that forces and responses carry: X and F are those at s = iω + β.
-    """
+    """One run in the frequency domain: X = H·F + transient + noise."""
 
     frequencies_hz: NDArray[np.float64]
-    responses: NDArray[np.complex128]
-    forces: NDArray[np.complex128]
+    responses: NDArray[np.complex128]  # (m, L): accelerations, or the accelerance column itself where only FRFs are given
+    forces: NDArray[np.complex128]  # (k, L): forces; ones for FRF columns
+    # response_rows, response_signs (m,): row of each response in the DOF list of the model, and its sense against that DOF
     response_rows: NDArray[np.int_]
     response_signs: NDArray[np.float64]
+    # force_rows, force_signs (k,): the same for the forces
     force_rows: NDArray[np.int_]
     force_signs: NDArray[np.float64]
+    # response_variance, force_variance: (m, L), (k, L): E|noise|² of each line; 0 for the force of FRF columns
     response_variance: NDArray[np.float64]
     force_variance: NDArray[np.float64]
-    step_s: float | None
+    step_s: float | None  # sampling interval; None where there is no transient to model (FRF columns)
     name: str = ""
-    top_hz: float = 0.0
-    window_rate: float = 0.0
+    top_hz: float = 0.0  # last line of the fitted band [Hz]; kept when lines are taken out
+    window_rate: float = 0.0  # rate β [1/s] of the exponential window that forces and responses carry: X and F are those at s = iω + β
 
     def __post_init__(self) -> None:
         if self.top_hz <= 0:

@@ -84,31 +84,18 @@ class Trial:
 
 @dataclass(frozen=True)
 class Prior:
-    """Standard deviations that are held fixed while shapes vary.
+    """Standard deviations that are held fixed while shapes vary."""
 
-    Parameters
-    ----------
-    participation : (n_idle, n_operating) array
-        Of q, for operational shapes of unit length.
-    remainder : (n_operating,) array
-        Of the part of a shape, at each DOF, that the idle modes do not explain.
-    noise : (n_operating, m, m) array
-        Covariance of the shape values.
-    mixing : (n_operating, n_operating) array
-        Part of the non-orthogonality of modes s and r that is taken out of r, between 0 and 1: large where little is known
-        about how much of s there is in r, as for close modes.
-    outside : (m, m) array
-        Where that part may lie: the projector on what is outside the span of the idle modes (zero with at least as many modes as
-        DOFs), or everything for shapes without stated noise.
-    others : tuple
-        For each operational mode the trial widths and how likely each is, the chosen one among them.
-    """
-
-    participation: NDArray[np.float64]
-    remainder: NDArray[np.float64]
-    noise: NDArray[np.float64]
+    participation: NDArray[np.float64]  # (n_idle, n_operating): of q, for operational shapes of unit length
+    remainder: NDArray[np.float64]  # (n_operating,): of the part of a shape, at each DOF, that the idle modes do not explain
+    noise: NDArray[np.float64]  # (n_operating, m, m): covariance of the shape values
+    # (n_operating, n_operating): part of the non-orthogonality of modes s and r that is taken out of r, between 0 and 1: large where little
+    # is known about how much of s there is in r, as for close modes
     mixing: NDArray[np.float64]
+    # (m, m): where that part may lie: the projector on what is outside the span of the idle modes (zero with at least as many modes as
+    # DOFs), or everything for shapes without stated noise
     outside: NDArray[np.float64]
+    # for each operational mode the trial widths and how likely each is, the chosen one among them
     others: tuple[tuple[tuple[float, Trial], ...], ...] = ()
 
     def covariance(self, r: int) -> NDArray[np.float64]:

@@ -122,23 +122,12 @@ def _root(matrix: Array, power: float) -> Array:
 
 @dataclass(frozen=True)
 class Task:
-    """What is fixed while shapes vary: pairs, classes, basis.
+    """What is fixed while shapes vary: pairs, classes, basis."""
 
-    Parameters
-    ----------
-    partners : (n_operating,) int array
-        Idle index or −1.
-    keep_msf : (n_operating,) bool array
-        Unchanged and beyond-band modes, scaled by MSF in the paper's methods.
-    basis : int array
-        Idle modes of the condensed mass.
-    idle_hz, operating_hz : arrays [Hz]
-        Leading dimensions as the shapes.
-    """
-
-    partners: NDArray[np.int_]
-    keep_msf: NDArray[np.bool_]
-    basis: NDArray[np.int_]
+    partners: NDArray[np.int_]  # (n_operating,): idle index or −1
+    keep_msf: NDArray[np.bool_]  # (n_operating,): unchanged and beyond-band modes, scaled by MSF in the paper's methods
+    basis: NDArray[np.int_]  # idle modes of the condensed mass
+    # idle_hz, operating_hz: leading dimensions as the shapes
     idle_hz: NDArray[np.float64]
     operating_hz: NDArray[np.float64]
     prior: Prior

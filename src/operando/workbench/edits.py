@@ -138,30 +138,13 @@ def changed_lines(old: str, new: str) -> list[dict[str, Any]]:
 
 @dataclass
 class Draft:
-    """A test file with changes that are not written yet.
+    """A test file with changes that are not written yet."""
 
-    Parameters
-    ----------
-    path : Path
-        The test file.
-    changes : tuple of str
-        Entries that take the place of those in the file (``--set``); they are used and never written.
-
-    Attributes
-    ----------
-    text : str
-        What the file said when it was read.
-    edits : list of Edit
-        Changes since, in order.
-    test : Test
-        The test without them.
-    """
-
-    path: Path
-    changes: tuple[str, ...] = ()
-    text: str = field(init=False)
-    edits: list[Edit] = field(init=False, default_factory=list)
-    test: Test = field(init=False)
+    path: Path  # the test file
+    changes: tuple[str, ...] = ()  # entries that take the place of those in the file (``--set``); they are used and never written
+    text: str = field(init=False)  # what the file said when it was read
+    edits: list[Edit] = field(init=False, default_factory=list)  # changes since, in order
+    test: Test = field(init=False)  # the test without them
 
     def __post_init__(self) -> None:
         self.text = text_of(self.path)

@@ -52,33 +52,20 @@ _TIMES, _OVER, _HIGH, _LOW = np.array([_table(power) for power in _POWERS]).T.co
 
 @dataclass(frozen=True)
 class Columns:
-    """Where the digits of the numbers of a line stand.
+    """Where the digits of the numbers of a line stand."""
 
-    Parameters
-    ----------
-    low, span : (LINES·length,) uint8 arrays
-        Least character of each column, and how far above it one may lie, for all lines that are taken at once.
-    length : int
-        Characters of a line, its end included.
-    width, repeats : int
-        Columns of a group of numbers, and how often it stands in a line: mostly a number alone.
-    signs, exponent_signs : (numbers,) int arrays
-        Columns of the signs in a group.
-    weights : (3·numbers, width) float32 array
-        Makes the upper and the lower digits and the exponents of the digits of a group.
-    decimals : (numbers,) float array
-        Digits behind the point.
-    """
-
+    # low, span (LINES·length,): least character of each column, and how far above it one may lie, for all lines that are taken at once
     low: NDArray[np.uint8]
     span: NDArray[np.uint8]
-    length: int
+    length: int  # characters of a line, its end included
+    # width, repeats: columns of a group of numbers, and how often it stands in a line: mostly a number alone
     width: int
     repeats: int
+    # signs, exponent_signs (numbers,): columns of the signs in a group
     signs: NDArray[np.intp]
     exponent_signs: NDArray[np.intp]
-    weights: NDArray[np.float32]
-    decimals: NDArray[np.float64]
+    weights: NDArray[np.float32]  # (3·numbers, width): makes the upper and the lower digits and the exponents of the digits of a group
+    decimals: NDArray[np.float64]  # (numbers,): digits behind the point
 
     def values(self, text: NDArray[np.uint8]) -> NDArray[np.float64] | None:
         """Numbers of some whole lines, at most ``LINES``; None where a line has other columns."""
