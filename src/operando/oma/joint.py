@@ -12,10 +12,10 @@ from scipy.linalg import eigh, solve_triangular
 
 from operando.dof import Dof
 from operando.errors import IdentificationError
-from operando.oma.conditioning import Responses
 from operando.oma.correlation import block_hankel, correlate, pool
 from operando.oma.diagram import Prepared
 from operando.oma.estimate import best_orders, normalise_shapes, to_displacement
+from operando.oma.single import Identification
 from operando.oma.subspace import whitening_factor
 from operando.oma.uncertainty import student_widening
 from operando.stabilization import Stabilization, Tolerances, classify, select_modes
@@ -24,14 +24,6 @@ MAX_ORDER = 100
 """Largest model order of the joint estimate."""
 LEAST_GROUPS, ALL_GROUPS = 5, 96
 """Groups of blocks a set-up is cut into for the jackknife, and about how many there are in all."""
-
-
-@dataclass(frozen=True)
-class SetUpData:
-    """One set-up for the joint estimate."""
-
-    responses: Responses
-    prepared: Prepared
 
 
 @dataclass(frozen=True)
@@ -60,7 +52,7 @@ class _Layout:
     where: list[NDArray[np.int_]]
 
 
-def fit_joint(setups: Sequence[SetUpData], band: tuple[float, float], tolerances: Tolerances | None = None) -> Joint:
+def fit_joint(setups: Sequence[Identification], band: tuple[float, float], tolerances: Tolerances | None = None) -> Joint:
     """Merge before the identification (Döhler, Reynders, Magalhães, Mevel, De Roeck & Cunha 2010) and identify once.
 
     Hankel matrices of the shared sensors of all set-ups stand side by side; their common left singular vectors are the observability
@@ -94,7 +86,7 @@ def fit_joint(setups: Sequence[SetUpData], band: tuple[float, float], tolerances
     return _conclude(chain, chosen, stabilization, layout)
 
 
-def _layout(setups: Sequence[SetUpData]) -> _Layout:
+def _layout(setups: Sequence[Identification]) -> _Layout:
     first = setups[0].responses
     common, signs, others, where = [], [], [], []
     keys = [{d.key: (i, d.sign, int(s.responses.derivative[i])) for i, d in enumerate(s.responses.dofs)} for s in setups]

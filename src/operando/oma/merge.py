@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from operando.data import ModalModel
-from operando.dof import Dof, DofIndex, Node
+from operando.dof import Dof, DofIndex
 from operando.oma.matching import Cluster
 from operando.oma.uncertainty import student_widening, unit_changes
 
@@ -37,15 +37,6 @@ class Mean:
     weights: NDArray[np.float64]
     tau: float
     variance: float
-
-
-def union_of_dofs(models: Sequence[ModalModel]) -> tuple[Dof, ...]:
-    """DOFs of all models, each once, in the sense of the first one that has it."""
-    found: dict[tuple[Node, str], Dof] = {}
-    for model in models:
-        for d in model.dofs:
-            found.setdefault(d.key, d)
-    return tuple(found.values())
 
 
 def mean_with_scatter(values: NDArray[Any], variances: NDArray[Any], least: NDArray[Any] | float = 0.0) -> Mean:
@@ -94,7 +85,7 @@ def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Se
 
     Each covariance was widened by Student's t for the blocks it comes from: all together have more.
     """
-    dofs = union_of_dofs(models)
+    dofs = tuple(DofIndex(d for m in models for d in m.dofs))
     places = [DofIndex(dofs).match(m.dofs) for m in models]
     rows = [np.array(index) for index, _ in places]
     signs = [np.array(sense, float) for _, sense in places]

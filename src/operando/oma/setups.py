@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, ModalModel, Provenance, TimeRecord
-from operando.dof import Dof, Node, match_dofs, parse_dofs
+from operando.dof import Dof, DofIndex, Node, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
 from operando.indicators import mac
 from operando.oma.decay import DecayDiagram
 from operando.oma.details import JointCheck, OmaDetails, SetUp
-from operando.oma.joint import Joint, SetUpData, fit_joint
+from operando.oma.joint import Joint, fit_joint
 from operando.oma.matching import Cluster, frequency_limit, likeness, match
 from operando.oma.merge import Merged, merge
 from operando.oma.setup_findings import joint_findings, listed, setup_findings, unseen_findings
@@ -106,12 +106,7 @@ def _name(group: Sequence[TimeRecord]) -> str:
 
 def _sensors(group: Sequence[TimeRecord]) -> tuple[Dof, ...]:
     first = group[0]
-    found: dict[tuple[Node, str], Dof] = {}
-    for i in first.response_indices:
-        d = first.channels[i].dof
-        if d is not None:
-            found.setdefault(d.key, d)
-    return tuple(found.values())
+    return tuple(DofIndex(d for i in first.response_indices if (d := first.channels[i].dof) is not None))
 
 
 def _keys(m: _Member) -> set[tuple[Node, str]]:
@@ -226,9 +221,8 @@ def _seen_twice(used: list[_Used], clusters: list[Cluster], options: Options) ->
 def _joint(used: list[_Used], options: Options) -> tuple[Joint | None, str]:
     if any(isinstance(u.identification.diagram, DecayDiagram) for u in used):
         return None, "free decays have no stationary correlations"
-    data = [SetUpData(u.identification.responses, u.identification.prepared) for u in used]
     try:
-        return fit_joint(data, options.band, options.tolerances), ""
+        return fit_joint([u.identification for u in used], options.band, options.tolerances), ""
     except (OperandoError, np.linalg.LinAlgError) as error:
         return None, error.message if isinstance(error, OperandoError) else str(error)
 

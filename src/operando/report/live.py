@@ -12,8 +12,7 @@ from markupsafe import Markup, escape
 from numpy.typing import ArrayLike
 
 from operando.data import Frf, ModalModel
-from operando.dof import match_dofs
-from operando.errors import DofError
+from operando.dof import DofIndex
 from operando.plots.mesh import Mesh
 from operando.plots.style import GREEN, IDLE, MEASURED, MODEL, SKY, thin
 from operando.printable import printable
@@ -51,7 +50,7 @@ def frfs(results: Results, page: Numbering) -> Markup | None:
     band = derive.analysis_band(results)
     if (not measured and hybrid is None) or band is None or not base:
         return None
-    dofs = tuple(dict.fromkeys([*base, *(d for f in measured for d in f.references if _index(d, base)[0] < 0)]))
+    dofs = tuple(dict.fromkeys([*base, *(d for f in measured for d in f.references if d not in DofIndex(base))]))
     series: list[dict[str, Any]] = []
     lines = ((results.idle_frf, "idle, measured", SKY, None), (None if run is None else run.frf, "operating, measured", MEASURED, None),
              (after, "idle model + effects", GREEN, [2, 2]))  # fmt: skip
@@ -75,16 +74,8 @@ def _first(measured: Sequence[Frf], dofs: Sequence[Any]) -> list[int]:
         return [0, 0]
     frf = measured[-1]
     i, j = (frf.drive_points() or [(0, 0)])[0]
-    return [_index(frf.responses[i], dofs)[0], _index(frf.references[j], dofs)[0]]
-
-
-def _index(dof: Any, dofs: Sequence[Any]) -> tuple[int, float]:
-    """Place and sign of a DOF among others; −1 where it is not there."""
-    try:
-        rows, signs = match_dofs((dof,), tuple(dofs))
-    except DofError:
-        return -1, 1.0
-    return int(rows[0]), float(signs[0])
+    index = DofIndex(dofs)
+    return [(index.find(d) or (-1, 1))[0] for d in (frf.responses[i], frf.references[j])]
 
 
 def _lines(frf: Frf, dofs: Sequence[Any], band: Sequence[float]) -> dict[str, Any]:
@@ -95,7 +86,8 @@ def _lines(frf: Frf, dofs: Sequence[Any], band: Sequence[float]) -> dict[str, An
         total = np.log(np.sqrt(np.nanmean(np.abs(frf.data[:, :, inside]) ** 2, axis=(0, 1))))
     most = MOST_VALUES // max(frf.data.shape[0] * frf.data.shape[1], 1)
     keep = inside[thin(f[inside], total, max(most // 2, 50))] if inside.size > most else inside
-    outs, ins = ([_index(d, dofs) for d in names] for names in (frf.responses, frf.references))
+    index = DofIndex(dofs)
+    outs, ins = ([index.find(d) or (-1, 1) for d in names] for names in (frf.responses, frf.references))
     signs = np.outer([s for _, s in outs], [s for _, s in ins])[:, :, None]
     data = frf.data[:, :, keep] * signs * (2j * np.pi * f[keep]) ** POWERS[frf.quantity]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -125,11 +117,10 @@ def _modal(modal: ModalModel, dofs: Sequence[Any]) -> dict[str, Any]:
     """A model by its modes and residual terms: the page makes the FRF of any pair."""
     terms = modal.terms
     shapes = np.zeros((len(dofs), terms.frequencies_hz.size))
-    have = []
+    known, have = DofIndex(modal.dofs), []
     for i, dof in enumerate(dofs):
-        row, sign = _index(dof, modal.dofs)
-        if row >= 0:
-            shapes[i] = sign * np.asarray(terms.shapes[row], float)
+        if (at := known.find(dof)) is not None:
+            shapes[i] = at[1] * np.asarray(terms.shapes[at[0]], float)
             have.append(i)
     # the page takes ω²/(ω_r² − ω²) with frequencies in Hz: both squares hold (2π)², which cancels
     return {

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from operando.dof import match_dofs
+from operando.dof import DofIndex
 from operando.errors import DofError
 from operando.indicators import mac
 from operando.plots.modes import mode_labels
@@ -68,12 +68,8 @@ def _shape_pairs(results: Results) -> list[figures_modes.ShapePair]:
 def _on_dofs(values: Any, source: Any, target: Any) -> Any:
     """Rows of one model's shapes on the DOFs of another, NaN-free: zero where not measured."""
     out = np.zeros((len(target.dofs), values.shape[1]))
-    for row, dof in enumerate(target.dofs):
-        try:
-            i, sign = match_dofs((dof,), source.dofs)
-        except DofError:
-            continue
-        out[row] = values[i[0]] * sign[0]
+    for row, i, sign in DofIndex(target.dofs).common(source.dofs):
+        out[row] = sign * values[i]
     return out
 
 
