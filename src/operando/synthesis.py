@@ -64,25 +64,9 @@ def power_of(values: NDArray[np.complex128]) -> NDArray[np.float64]:
 def modal_kernel(
     frequencies_hz: ArrayLike, mode_hz: ArrayLike, damping_ratios: ArrayLike, quantity: str, rate: float = 0.0
 ) -> NDArray[np.complex128]:
-    """s^p / (ω_r² + 2ζ_r ω_r s + s²) for each mode and line.
+    """s^p / (ω_r² + 2ζ_r ω_r s + s²) for each mode and line, (n_modes, n_lines); p is 0, 1, 2 for receptance, mobility, accelerance.
 
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-    mode_hz, damping_ratios : (n_modes,) arrays
-    quantity : {"accelerance", "mobility", "receptance"}
-    rate : float
-        β [1/s] of an exponential window: s = iω + β.
-
-    Returns
-    -------
-    (n_modes, n_lines) complex array
-        p is 0, 1, 2 for receptance, mobility, accelerance.
-
-    Raises
-    ------
-    DataError
-        If the quantity is unknown.
+    s = iω + β with the ``rate`` β [1/s] of an exponential window.
     """
     if quantity not in POWER:
         raise DataError(f"quantity {quantity!r} is none of {', '.join(POWER)}")
@@ -132,19 +116,9 @@ def synthesise(
     reference_shapes: NDArray[Any],
     quantity: str = "accelerance",
 ) -> NDArray[np.complex128]:
-    """H = Σ_r (iω)^p φ_r,resp φ_r,ref / (ω_r² − ω² + 2iζ_rω_rω).
+    """H = Σ_r (iω)^p φ_r,resp φ_r,ref / (ω_r² − ω² + 2iζ_rω_rω), (n_responses, n_references, n_lines).
 
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-    mode_hz, damping_ratios : (n_modes,) arrays
-    response_shapes : (n_responses, n_modes) real array of unit modal mass
-    reference_shapes : (n_references, n_modes) real array of unit modal mass
-    quantity : {"accelerance", "mobility", "receptance"}
-
-    Returns
-    -------
-    (n_responses, n_references, n_lines) complex array
+    Shapes (n_responses, n_modes) and (n_references, n_modes) are real, of unit modal mass.
     """
     kernel = modal_kernel(frequencies_hz, mode_hz, damping_ratios, quantity)
     residues = (response_shapes[:, None, :] * reference_shapes[None, :, :]).reshape(
@@ -164,24 +138,10 @@ def synthesis_variance(
     quantity: str = "accelerance",
     signs: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Variance E|ΔH|² of synthesised FRFs, to first order in the modal parameters.
+    """Variance E|ΔH|² of synthesised FRFs (n_responses, n_references, n_lines), to first order in the modal parameters.
 
-    Parameters
-    ----------
-    frequencies_hz : (n_lines,) array
-    mode_hz, damping_ratios : (n_modes,) arrays
-    shapes : (m, n_modes) real array of unit modal mass
-    covariance : (p, p) array
-        Of [f (Hz), ζ, shapes mode by mode], p = n_modes·(2 + m).
-    responses, references : int arrays
-        Rows of ``shapes``.
-    quantity : {"accelerance", "mobility", "receptance"}
-    signs : (n_modes,) array, optional
-        −1 for terms that are taken away.
-
-    Returns
-    -------
-    (n_responses, n_references, n_lines) array
+    ``covariance`` (p, p) is of [f (Hz), ζ, shapes (m, n_modes) mode by mode], p = n_modes·(2 + m); ``responses`` and ``references`` are
+    rows of the shapes; ``signs`` (n_modes,) are −1 for terms that are taken away.
     """
     n = mode_hz.size
     out_rows, in_rows = np.asarray(responses, int), np.asarray(references, int)

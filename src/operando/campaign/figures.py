@@ -114,13 +114,7 @@ def _names(axes: Axes, ends: Sequence[tuple[float, float, int, str]]) -> None:
 
 @drawn
 def error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str) -> tuple[Figure, str]:
-    """SVG: error in dB of each model over the parameter.
-
-    Parameters
-    ----------
-    series : mapping
-        Name of the model → (place, error in dB).
-    """
+    """SVG: error in dB of each model over the parameter; ``series`` are name of the model → (place, error)."""
     figure = new_figure(10.2, 3.0)
     axes = figure.add_axes((0.075, 0.17, 0.9, 0.68))
     for k, (name, points) in enumerate(series.items()):

@@ -29,12 +29,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 class LocalPool:
     """Worker processes on this machine, each with one thread of its own.
 
-    Parameters
-    ----------
-    logs : Path
-        Folder for what libraries print in the workers.
-    say : callable
-        Called with what happens to workers, in words.
+    What libraries print in them goes to files in ``logs``, what happens to them to ``say``, in words.
     """
 
     def __init__(self, processes: int, logs: Path, say: Callable[[str], None]) -> None:

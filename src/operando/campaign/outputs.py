@@ -20,13 +20,7 @@ _ERRORS = ("error_db", "relative_error", "misfit", "noise_floor_db")
 
 
 def write_outputs(out: Path, document: Mapping[str, Any]) -> None:
-    """Write ``campaign.json``, ``campaign.csv``, ``report.html``, and ``campaign.parquet`` where pyarrow is installed.
-
-    Parameters
-    ----------
-    document : mapping
-        ``operando/campaign/1``.
-    """
+    """Write ``campaign.json``, ``campaign.csv``, ``report.html``, and ``campaign.parquet`` where pyarrow is installed."""
     write_json(out / "campaign.json", document)
     head, rows = columns_of(document), list(rows_of(document))
     text = io.StringIO()

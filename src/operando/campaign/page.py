@@ -21,13 +21,7 @@ VERDICT_GRADES = {"no_misfit": "good", "explained": "good", "unexplained": "poor
 
 
 def render(document: Mapping[str, Any]) -> str:
-    """HTML text of the report.
-
-    Parameters
-    ----------
-    document : mapping
-        ``operando/campaign/1``.
-    """
+    """HTML text of the report on a document ``operando/campaign/1``."""
     numbering = parts.Numbering()
     makers = (
         ("answer", "Answer: what changes over the tests", "changes", _changes(document)),

@@ -14,13 +14,7 @@ MOST_FINDINGS = 20
 
 
 def record_of(results: Results) -> dict[str, Any]:
-    """The document of a test that was run.
-
-    Returns
-    -------
-    dict
-        ``state`` is ``done``, or ``incomplete`` where a stage failed.
-    """
+    """The document of a test that was run; its ``state`` is ``done``, or ``incomplete`` where a stage failed."""
     failed = {stage: why.removeprefix("failed: ") for stage, why in results.left_out.items() if why.startswith("failed: ")}
     heavy = sorted((f for f in results.findings if f.severity != "info"), key=lambda f: f.severity != "error")
     document = {

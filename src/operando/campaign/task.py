@@ -86,13 +86,7 @@ def settled(record: dict[str, Any] | None) -> bool:
 
 
 def perform(task: Task) -> dict[str, Any]:
-    """Run a test and write its record.
-
-    Returns
-    -------
-    dict
-        ``state`` (done, incomplete, failed), ``reason``, ``seconds``, ``cpu_seconds``: what is said while the campaign goes on.
-    """
+    """Run a test and write its record; what is said of it while the campaign goes on (``state`` is done, incomplete or failed)."""
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         before = read_record(task.record, task.fingerprint)

@@ -50,13 +50,7 @@ class Track:
 
 
 class Tracker:
-    """Follows modes from state to state; of a shape it keeps the last one seen, and those of the baseline.
-
-    Parameters
-    ----------
-    baseline : int
-        State that the others are compared against.
-    """
+    """Follows modes from state to state; of a shape it keeps the last one seen, and those of the state ``baseline``."""
 
     def __init__(self, baseline: int) -> None:
         self.baseline = baseline
@@ -174,13 +168,7 @@ class Crossing:
 
 
 def crossings(tracks: Sequence[Track], places: Sequence[float]) -> list[Crossing]:
-    """Where the frequencies of tracked modes cross.
-
-    Parameters
-    ----------
-    places : sequence of float
-        Of the states on the axis.
-    """
+    """Where the frequencies of tracked modes cross; ``places`` are those of the states on the axis."""
     out = []
     for i, a in enumerate(tracks):
         for b in tracks[i + 1 :]:

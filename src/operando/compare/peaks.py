@@ -76,25 +76,12 @@ def _half_width(level_db: NDArray[np.float64], f: NDArray[np.float64], k: int) -
 def fit_peaks(
     data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.float64] | None = None, variance: NDArray[np.float64] | None = None
 ) -> list[Peak]:
-    """Find the peaks of all pairs together and fit each with its near neighbours.
+    """Find the peaks of all pairs together and fit each with its near neighbours; by rising frequency.
 
-    In the window of a group of peaks H ≈ Σ R/(iω − λ) + a + bω + cω² for each pair, poles common to all pairs; the poles
-    by Gauss–Newton on the projected residual (variable projection, Golub & Pereyra 1973).
-
-    Parameters
-    ----------
-    data : (n_pairs, n_lines) complex array
-        Without NaN.
-    f : (n_lines,) array [Hz]
-    weight : (n_pairs,) array, optional
-        Factor of each pair in the curve and the fit; default 1/rms.
-    variance : (n_pairs, n_lines) array, optional
-        E|ΔH|², for the standard deviations alone; without, they are of what the fit leaves.
-
-    Returns
-    -------
-    list of Peak
-        In order of frequency.
+    In the window of a group of peaks H ≈ Σ R/(iω − λ) + a + bω + cω² for each pair, poles common to all pairs; the poles by Gauss–Newton on
+    the projected residual (variable projection, Golub & Pereyra 1973). ``data`` (n_pairs, n_lines) have no NaN; ``weight`` (n_pairs,) is
+    the factor of each pair in curve and fit, 1/rms where not given; ``variance`` E|ΔH|² serves the standard deviations alone, which without
+    it are of what the fit leaves.
     """
     from scipy.signal import find_peaks
 

@@ -21,18 +21,10 @@ def verdict_of(
 ) -> tuple[str, str | None]:
     """Verdict, and what stands in the way of a better one.
 
-    Parameters
-    ----------
-    holdout : sequence of float
-        Reduced chi-square on the hold-out set at each step, that of the idle model first.
-    unseen : str, optional
-        Why a change that counts could have passed unseen; None where it could not.
-    more : str, optional
-        Why another effect may be missing beside those found; None where one was looked for and none improved the model.
-    ambiguous : bool
-        Whether another kind or a far place does as well.
-    within : bool
-        Whether the last step leaves no more than the noise and the discrepancy allowed to it (specification), whatever its chi-square.
+    ``holdout`` is the reduced chi-square on the hold-out set at each step, that of the idle model first. ``unseen`` says why a change that
+    counts could have passed unseen, ``more`` why another effect may be missing beside those found (None where one was looked for and none
+    improved the model), ``ambiguous`` whether another kind or a far place does as well, ``within`` whether the last step leaves no more
+    than the noise and the discrepancy allowed to it (specification), whatever its chi-square.
     """
     if holdout[0] < GOOD and unseen is not None:
         return "inconclusive", unseen

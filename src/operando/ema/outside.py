@@ -100,18 +100,9 @@ def outside_modes(
 ) -> OutsideModes:
     """Residual modes of all DOFs from the out-of-band part of the driven columns, which the local coefficients of ``fit`` hold.
 
-    Parameters
-    ----------
-    band : (float, float)
-        Hz, where the residual modes must hold.
-    lower : bool
-        Whether kernels below the band were fitted.
-    max_dofs : int
-        DOFs in the nonlinear part of the fit; further ones follow by linear least squares.
-    gone : int array, optional
-        Modes of the fit that are no modes (:func:`make_up`): what they add to the driven columns lies outside.
-    local_terms : bool
-        Add a term at each DOF that was not driven, for the compliance of its own.
+    They must hold in ``band`` [Hz]; ``lower`` says whether kernels below it were fitted. The nonlinear part of the fit takes ``max_dofs``
+    DOFs, further ones follow by linear least squares. What the modes ``gone`` of the fit, which are none (:func:`make_up`), add to the
+    driven columns lies outside. With ``local_terms`` each DOF that was not driven gets a term for the compliance of its own.
     """
     moved = fit.parameters
     fit = fit if gone is None or not gone.size else without_modes(fit, gone)

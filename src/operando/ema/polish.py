@@ -104,25 +104,12 @@ def polish(
 ) -> Polished:
     """Minimise the errors-in-variables cost over poles, shapes, transients and local terms.
 
-    Parameters
-    ----------
-    runs : sequence of RunSpectra
-        Spectra with noise variances; senses as in the model (:func:`signed`).
-    shape_std : (M, n) array, optional
-        Standard deviation of a Gaussian prior of the shapes; wide, it only holds what the data do not see.
-    hold_poles : bool or (n,) bool array
-        Keep all poles or some as they are; with all of them shapes, transients and local terms alone are fitted.
-    max_iterations : int
-        Steps with a normal matrix of their own.
-    tolerance : float
-        Stop when the fall of the cost is below this. The cost has unit variance per datum: 0.05 moves every estimate
-        by less than about a third of its standard deviation.
-    needed_cost : float
-        The fit is of no use above this cost: it ends where the steps that are left do not reach it at the pace of the last one.
-    known : Information, optional
-        Normal matrix of these lines near the start, which serves for the first step.
-    apart : sequence of (L,) bool arrays, optional
-        Lines of each run without which the normal matrix is wanted too.
+    Senses of the runs are those of the model (:func:`signed`). ``shape_std`` (M, n) is that of a Gaussian prior of the shapes; wide, it
+    only holds what the data do not see. ``hold_poles`` keeps all poles or some (n,) as they are. There are ``max_iterations`` steps with a
+    normal matrix of their own. The fit stops when the fall of the cost is below ``tolerance`` (unit variance per datum: 0.05 moves every
+    estimate by less than about a third of its standard deviation), or where the steps that are left do not reach ``needed_cost`` at the
+    pace of the last one. ``known`` is a normal matrix of these lines near the start, which serves for the first step; ``apart`` are lines
+    (L,) of each run without which the normal matrix is wanted too.
     """
     theta = start
     m_dofs, n = theta.shapes.shape

@@ -157,11 +157,8 @@ class ResultsFolder:
     def commit(self, drop: Iterable[str] = (), standing: Mapping[str, dict[str, Any]] | None = None) -> None:
         """Let the files written aside take their names, and those named in ``drop`` go.
 
-        Parameters
-        ----------
-        standing : mapping, optional
-            File of a stage → entry (``key``, ``model``: hash of the ``model.h5`` in which its result stands from here on, and more). Its
-            own file goes.
+        ``standing`` are files of stages → entry (``key``, ``model``: hash of the ``model.h5`` in which the result stands from here on, and
+        more); such a file goes.
         """
         gone = [name for name in drop if name in self._entries or (self.path / name).exists()]
         moved = {name: entry for name, entry in (standing or {}).items() if self._entries.get(name) != entry}
@@ -255,10 +252,7 @@ def changing(path: str, doing: str) -> Iterator[ResultsFolder]:
 def adopt(source: str | Path, target: str | Path, stages: Iterable[str]) -> None:
     """Let a results folder that is still empty begin with kept stages of another; whether they fit its test is for the run to see.
 
-    Parameters
-    ----------
-    source, target : path
-        Results folders; where ``source`` has no such stage, or it is damaged, it is made in ``target``.
+    Where ``source`` has no such stage, or it is damaged, it is made in ``target``.
     """
     other = ResultsFolder(Path(source))
     with results_folder(target, "campaign", make=True) as folder:

@@ -26,16 +26,9 @@ _PART = 0.95
 
 
 class Share:
-    """Share done and time left, from the seconds that each stage is expected to take.
+    """Share done and time left, from the seconds that each stage is expected to take (``expected_s``, in order).
 
-    Parameters
-    ----------
-    expected_s : mapping
-        Stage → seconds, in order.
-    known : bool
-        Whether the seconds are those of an earlier run; else only their proportions count, and the first stage that is done sets the pace.
-    now : callable
-        Clock [s].
+    Where these are not ``known`` from an earlier run, only their proportions count, and the first stage that is done sets the pace.
     """
 
     def __init__(self, expected_s: Mapping[str, float], known: bool = False, now: Callable[[], float] = time.monotonic) -> None:

@@ -36,26 +36,10 @@ def draw_matrix(
     square: bool = True,
     limits: bool = False,
 ) -> None:
-    """Cells from the top left, coloured by value, with the value in each where there is room.
+    """Cells from the top left, coloured by value (NaN white with a dash), with the value in each where there is room.
 
-    Parameters
-    ----------
-    values : (n_rows, n_columns) array
-        NaN makes a white cell with a dash.
-    rows, columns : sequences of str
-        Labels; ``columns`` has one more, at the borders of the cells, with ``limits``.
-    colors : sequence of str
-        From 0 to ``top``.
-    top : float
-        Value of the last colour.
-    dark : float
-        Numbers above are white.
-    text : callable
-        Words of a number; empty for none.
-    square : bool
-        Cells are square.
-    limits : bool
-        Labels of columns stand at the borders of the cells.
+    ``colors`` go from 0 to ``top``; numbers above ``dark`` are white, and empty ``text`` of one leaves it out. With ``limits`` the labels
+    of columns, one more than there are, stand at the borders of the cells.
     """
     table = np.asarray(values, float)
     n, m = table.shape

@@ -16,13 +16,7 @@ Edge = tuple[int, ...]
 
 
 class Mesh:
-    """Node positions, sides and patches among all nodes, and which nodes are measured.
-
-    Parameters
-    ----------
-    dofs : sequence of Dof
-        Those of the shapes.
-    """
+    """Node positions, sides and patches among all nodes, and which nodes are measured (those of ``dofs``)."""
 
     def __init__(self, geometry: Geometry, dofs: Sequence[Dof]) -> None:
         index = self.index = {n: i for i, n in enumerate(geometry.nodes)}

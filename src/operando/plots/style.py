@@ -86,13 +86,7 @@ _styled = ContextVar("styled", default=False)
 
 @contextmanager
 def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """The look of all figures, while something is drawn; inside of itself it changes nothing.
-
-    Parameters
-    ----------
-    more : mapping, optional
-        Further settings of matplotlib.
-    """
+    """The look of all figures with ``more`` settings of matplotlib, while something is drawn; inside of itself it changes nothing."""
     import matplotlib
 
     settings = ({} if _styled.get() else STYLE) | dict(more or {})
@@ -148,16 +142,7 @@ def stack_of(axes: Axes, labels: Sequence[str]) -> dict[str, Axes]:
 def thin(x: ArrayLike, y: ArrayLike, count: int = 700) -> NDArray[np.intp]:
     """Indices that keep the look of a curve: the least and the greatest value in each of ``count`` equal intervals of x.
 
-    Parameters
-    ----------
-    x, y : (k,) arrays
-        x increasing; y may hold NaN.
-    count : int
-        Number of intervals.
-
-    Returns
-    -------
-    int array, increasing; all indices where there are fewer than 2·count points.
+    x increases, y may hold NaN; all indices where there are fewer than 2·count points.
     """
     xs, ys = np.asarray(x, float), np.asarray(y, float)
     if xs.size <= 2 * count:

@@ -182,16 +182,9 @@ def band_edges(band: Sequence[float]) -> NDArray[np.float64]:
 
 
 def choose_pairs(frf: Frf, error: NDArray[np.float64] | None, most_drive: int = 2, most_worst: int = 2) -> list[tuple[int, int, str]]:
-    """Pairs worth a picture: drive points, then the pairs with the greatest error; the strongest responses where there is neither.
+    """Pairs worth a picture, each with why: drive points, then those with the greatest error; without either the strongest responses.
 
-    Parameters
-    ----------
-    error : (n_responses, n_references) array, optional
-        Error of each pair, NaN where there is none.
-
-    Returns
-    -------
-    list of (response index, reference index, why)
+    ``error`` (n_responses, n_references) is NaN where there is none.
     """
     chosen: dict[tuple[int, int], str] = {}
     for i, j in frf.drive_points()[:most_drive]:
@@ -217,13 +210,9 @@ def choose_pairs(frf: Frf, error: NDArray[np.float64] | None, most_drive: int = 
 
 
 def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str, Any]]:
-    """How far H[i, j] is from H[j, i], for each pair of references that are also responses.
+    """How far H[i, j] is from H[j, i], for each ``pair`` of references that are also responses.
 
-    Returns
-    -------
-    list of dict
-        ``pair`` (two DOFs), ``relative`` (rms difference over rms size), ``ratio`` (mean |difference|² over its variance; None
-        without variances).
+    ``relative`` is the rms difference over the rms size, ``ratio`` the mean |difference|² over its variance (None without variances).
     """
     rows: list[dict[str, Any]] = []
     for second, first, one, two, variance in (frf if band is None else frf.band(*band)).both_ways():

@@ -17,13 +17,9 @@ Column = tuple[str, list[str]]
 
 
 def figure_csv(figure: Figure) -> str:
-    """All curves, points, bars and maps of a figure.
+    """All curves, points, bars and maps of a figure; empty for one without numbers. What is drawn thinned stands there thinned.
 
-    Returns
-    -------
-    str
-        One column of x, then the columns of y that belong to it, and so on for each x that is another; empty for a figure without
-        numbers. What is drawn thinned stands there thinned.
+    One column of x, then the columns of y that belong to it, and so on for each x that is another.
     """
     columns: list[Column] = []
     for number, axes in enumerate(figure.axes, start=1):

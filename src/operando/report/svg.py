@@ -40,16 +40,7 @@ class Drawing(Markup):
 
     @classmethod
     def of(cls, figure: Figure, alt: str, csv: str | None = None) -> Drawing:
-        """Draw a figure.
-
-        Parameters
-        ----------
-        figure : matplotlib Figure
-        alt : str
-            Text alternative.
-        csv : str, optional
-            The numbers; default: those of its axes.
-        """
+        """Draw a figure, with ``alt`` for readers who do not see it; its numbers are those of its axes where no ``csv`` is given."""
         made = cls(to_svg(figure, alt))
         made.csv = figure_csv(figure) if csv is None else csv
         return made
@@ -76,18 +67,9 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def to_svg(figure: Figure, alt: str) -> str:
-    """SVG element for inline use.
+    """SVG element for inline use, with ``alt`` for readers who do not see it.
 
-    Parameters
-    ----------
-    figure : matplotlib Figure
-    alt : str
-        Text alternative for readers who do not see it.
-
-    Returns
-    -------
-    str
-        ``<svg …>…</svg>`` whose ids are unique to this content, with coordinates of 0.01 pt (0.1 pt in long paths) and no metadata.
+    Its ids are unique to this content; coordinates have 0.01 pt (0.1 pt in long paths).
     """
     from matplotlib.backends.backend_mixed import MixedModeRenderer
 

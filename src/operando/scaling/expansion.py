@@ -116,18 +116,10 @@ def make_prior(
 ) -> Prior:
     """Prior of each operational shape; its width and remainder are the most likely of a small grid (empirical Bayes).
 
-    Parameters
-    ----------
-    idle : (m, n_idle) real array of unit modal mass, residual modes included
-    unit_shapes : (m, n_operating) real array, columns of unit length
-    partners : (n_operating,) int array
-        Idle partner or −1.
-    noise : (n_operating, m, m) array, optional
-        Covariance of each column of ``unit_shapes``; without it the shapes count as nearly exact.
-    hz_noise : (n_operating,) array, optional
-        Relative standard deviation of the operational frequencies.
-    idle_std : (m, n_idle) array, optional
-        Standard deviation of the idle shapes: a mode that may as well be noise takes little part, unless it is the partner.
+    ``idle`` (m, n_idle) has unit modal mass, residual modes included; ``unit_shapes`` (m, n_operating) columns of unit length; ``partners``
+    the idle partner of each or −1. ``noise`` (n_operating, m, m) is the covariance of these columns, without which they count as nearly
+    exact, ``hz_noise`` the relative standard deviation of the operational frequencies. By ``idle_std`` (m, n_idle) an idle mode that may as
+    well be noise takes little part, unless it is the partner.
     """
     m, n = unit_shapes.shape
     sure = np.ones(idle.shape[1]) if idle_std is None else reliability(idle, idle_std)

@@ -129,19 +129,10 @@ def with_unseen_change(
 ) -> NDArray[np.float64]:
     """Covariance with what no identification can know: what real shapes leave out, and how operation changed the modes it did not show.
 
-    Parameters
-    ----------
-    modal : ModalModel
-        Operational modes; the idle terms carried over are its residual terms.
-    n : int
-        Operational modes.
-    imaginary : (m, n) array
-        Imaginary part of each operational shape at its scale, as far as noise does not explain it: an error of the real shape that
-        shows in the FRF with the same size.
-    frequency_spread, shape_change : (k,) arrays
-        Relative standard deviation of the frequencies carried over, and relative size of the change of their shapes.
-    doubt : ScaleDoubt or None
-        What a change of mass (or of stiffness, where that was kept) leaves of the scale.
+    ``modal`` has ``n`` operational modes, and the idle terms carried over as residual terms. ``imaginary`` (m, n) is that part of each
+    operational shape at its scale, as far as noise does not explain it: an error of the real shape that shows in the FRF with the same
+    size. ``frequency_spread`` and ``shape_change`` (k,) are relative, of what is carried over; ``doubt`` is what a change of mass (or of
+    stiffness, where that was kept) leaves of the scale.
     """
     out = np.array(covariance)
     terms, m = modal.terms, len(modal.dofs)

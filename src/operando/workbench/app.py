@@ -35,10 +35,7 @@ TABS = (
 def make_app(bench: Bench, token: str) -> Flask:
     """The application of Flask; ``app.config["PORT"]`` must be set before the first request.
 
-    Parameters
-    ----------
-    token : str
-        What the address at the start holds; every request brings it as a cookie, those that change something in a header.
+    The address at the start holds ``token``; every request brings it as a cookie, those that change something in a header.
     """
     from flask import Flask, Response, abort, request
     from werkzeug.exceptions import HTTPException
@@ -184,13 +181,7 @@ def settings_table(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def perform(bench: Bench, what: str, given: dict[str, Any]) -> str:
-    """Do what a page asks for; what was done, in words.
-
-    Raises
-    ------
-    OperandoError
-        If it cannot be done.
-    """
+    """Do what a page asks for; what was done, in words."""
     if what in ("take", "leave"):
         return bench.mode(what, _state(given), _number(given, "hz"))
     if what == "exclude":

@@ -23,13 +23,7 @@ _ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NU
 
 
 class Job:
-    """Work in a process of its own, begun by the constructor.
-
-    Parameters
-    ----------
-    task : dict
-        See :func:`operando.workbench.worker.done`.
-    """
+    """Work in a process of its own, begun by the constructor; its task is that of :func:`operando.workbench.worker.done`."""
 
     def __init__(self, task: dict[str, Any]) -> None:
         self.name = NAMES[task["do"]]

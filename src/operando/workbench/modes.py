@@ -106,13 +106,9 @@ def _chains(diagram: Stabilization) -> list[tuple[float, float, float]]:
 
 
 def marked(results: Results, table: Table, state: str) -> list[dict[str, Any]]:
-    """Modes in the results, and those that the next run takes besides.
+    """Modes in the results, and those that the next run takes besides (without ``number``).
 
-    Returns
-    -------
-    list of dict
-        ``number`` (null where the mode is to come), ``hz``, ``damping_ratio``, ``in_band``, and ``now``: what becomes of it in the next
-        run (``taken``, ``left out``, ``to come``).
+    ``now`` is what becomes of each in the next run: ``taken``, ``left out``, ``to come``.
     """
     model, poles = model_of(results, state), stable_poles(results, state)
     keys, used = STATES[state], results.settings
@@ -144,10 +140,7 @@ def marked(results: Results, table: Table, state: str) -> list[dict[str, Any]]:
 def candidates(results: Results, table: Table, state: str) -> list[dict[str, Any]]:
     """Poles in band that may be taken and are no modes, best supported first.
 
-    Returns
-    -------
-    list of dict
-        ``hz``, ``damping_ratio``, ``support`` (share of the fits and orders that see the pole), ``reason`` why it was not taken, if known.
+    ``support`` is the share of the fits and orders that see one, ``reason`` why it was not taken, if known.
     """
     model = model_of(results, state)
     kept: Stabilization | None = getattr(model.details, "stabilization", None)
@@ -175,14 +168,7 @@ def candidates(results: Results, table: Table, state: str) -> list[dict[str, Any
 
 
 def diagram(results: Results, table: Table, state: str) -> dict[str, Any]:
-    """The stabilisation diagram as plain values, for the page to draw.
-
-    Returns
-    -------
-    dict
-        ``limits`` and ``band`` [Hz], ``poles`` (columns ``hz``, ``damping``, ``order``, ``letter``), ``letters`` (name and colour of each),
-        ``behind`` (curves: name, hz, values), ``modes`` (see :func:`marked`), ``rejected``, ``harmonics``.
-    """
+    """The stabilisation diagram as plain values, for the page to draw: poles by column, curves ``behind``, modes by :func:`marked`."""
     model = model_of(results, state)
     kept: Stabilization | None = getattr(model.details, "stabilization", None)
     if kept is None:

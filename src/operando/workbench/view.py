@@ -23,11 +23,8 @@ def render(template: str, **values: Any) -> Markup:
 def effects(results: Results) -> dict[str, Any]:
     """Verdict, effects in the model, error by step and candidates; ``words`` is None without a diagnosis.
 
-    Returns
-    -------
-    dict
-        ``words``, ``intro``, ``steps`` (label, size, error and chi-square on all lines and on hold-out lines), ``candidates`` (number in
-        the document, words, chi-square, evidence, tag), ``lines``, ``can_add``, ``kinds``, ``dofs``.
+    A step has label, size, error and chi-square on all lines and on hold-out lines; a candidate its number in the document, words,
+    chi-square, evidence and tag.
     """
     document = results.diagnosis
     shown: dict[str, Any] = {"words": None, "left_out": results.left_out.get("diagnose"), "can_add": bool(results.idle and results.check)}
@@ -66,13 +63,7 @@ def _kinds(results: Results) -> list[dict[str, Any]]:
 
 
 def channels(results: Results, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Channels with their findings, those left out, and the bands.
-
-    Parameters
-    ----------
-    table : mapping
-        The test file with its changes.
-    """
+    """Channels with their findings, those left out, and the bands; ``table`` is the test file with its changes."""
     entries: Mapping[str, Any] = table.get("channels", {})
     rows: dict[str, dict[str, Any]] = {}
     for file in results.inventory:
