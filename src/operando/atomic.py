@@ -47,14 +47,8 @@ def writing(path: str | Path) -> Iterator[None]:
 def replacing(path: str | Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """Open a file beside ``path`` for writing; it takes the name ``path`` when the block ends well, and disappears when it does not.
 
-    Its content is on the disk before it takes the name, so that no power failure leaves the name with half a file.
-
-    Raises
-    ------
-    WriteError
-        If the folder does not exist, is full or cannot be written, no file is named, or a device is.
-    ObjectError
-        If ``path`` is no path.
+    Its content is on the disk before it takes the name, so that no power failure leaves the name with half a file. Raises a WriteError if
+    the folder does not exist, is full or cannot be written, no file is named, or a device is; an ObjectError if ``path`` is no path.
     """
     path = path_of(path, "a file is written to its path")
     if not path.name:

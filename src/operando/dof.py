@@ -39,10 +39,7 @@ def _whole(value: object) -> int | None:
 def split_node(node: Node) -> tuple[str, int]:
     """Component (empty where there is none) and number of a node.
 
-    Raises
-    ------
-    DofError
-        If a text is no node label.
+    Raises a DofError if a text is no node label.
     """
     if (number := _whole(node)) is not None:
         return "", number
@@ -55,10 +52,7 @@ def split_node(node: Node) -> tuple[str, int]:
 def node_label(component: str, number: int) -> Node:
     """Node of a component (``FRAM:12``), or the number itself without one.
 
-    Raises
-    ------
-    DofError
-        If the text cannot name a component.
+    Raises a DofError if the text cannot name a component.
     """
     if not component:
         return number
@@ -271,10 +265,7 @@ class DofIndex:
     def match(self, wanted: Iterable[Dof]) -> tuple[list[int], list[int]]:
         """Positions of the wanted DOFs, and 1 or −1 for each by its sense.
 
-        Raises
-        ------
-        DofError
-            If one is not there; a DOF of a similar label is told.
+        Raises a DofError if one is not there; a DOF of a similar label is told.
         """
         indices, signs = [], []
         for dof in wanted:
@@ -360,10 +351,7 @@ def named_dofs(wanted: object, available: Sequence[Dof]) -> tuple[Dof, ...]:
 def check_dofs(wanted: tuple[Dof, ...], known: tuple[Dof, ...], where: str) -> None:
     """DOFs asked for must be measured.
 
-    Raises
-    ------
-    DofError
-        If one is not; the nearest is named.
+    Raises a DofError if one is not; the nearest is named.
     """
     try:
         match_dofs(wanted, known)

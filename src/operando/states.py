@@ -96,10 +96,7 @@ def _no_file(pattern: str, folder: Path, where: Entry) -> ConfigError:
 def state_of(table: StateFiles, folder: Path, where: Entry) -> State:
     """State of a section of the test file.
 
-    Raises
-    ------
-    ConfigError
-        If a pattern matches no file, or a record ends before it starts.
+    Raises a ConfigError if a pattern matches no file, or a record ends before it starts.
     """
     runs = _runs(table.get("records", []), folder, where.at("records"))
     return State(

@@ -67,11 +67,8 @@ def compare(
 def _check_shared(model: Any, runs: list[CheckRun], where: str) -> str:
     """A warning where sensors of the measurement are not in the model.
 
-    Raises
-    ------
-    DataError
-        If fewer than half of the sensors of the measurement and fewer than half of those of the model are in both: numbers that two
-        structures share by chance. A model of few sensors that were all measured is compared.
+    Raises a DataError if fewer than half of the sensors of the measurement and fewer than half of those of the model are in both: numbers
+    that two structures share by chance. A model of few sensors that were all measured is compared.
     """
     from operando.compare.common import shared_dofs
     from operando.data import counted, names_text

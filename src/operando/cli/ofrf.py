@@ -178,10 +178,7 @@ def _dofs(text: str | None, option: str) -> Any:
 def parse_change(text: str) -> tuple[int, str, float]:
     """Step, parameter and value of ``STEP.NAME=VALUE``.
 
-    Raises
-    ------
-    click.BadParameter
-        If the text is no such change.
+    Raises a click.BadParameter if the text is no such change.
     """
     import math
 
@@ -199,10 +196,7 @@ def parse_change(text: str) -> tuple[int, str, float]:
 def parse_lines(text: str) -> Any:
     """Lines [Hz] of ``A:B:STEP``, both ends included.
 
-    Raises
-    ------
-    click.BadParameter
-        If the text is no such range.
+    Raises a click.BadParameter if the text is no such range.
     """
     import numpy as np
 

@@ -285,10 +285,7 @@ def _same_file(source: Path, target: Path) -> None:
 def apart_from_runs(path: str | Path, doing: str) -> AbstractContextManager[None]:
     """For a file that is written by itself: where it lies in a results folder, no run is at work there inside the block.
 
-    Raises
-    ------
-    BusyError
-        If one is.
+    Raises a BusyError if one is.
     """
     hidden = Path(path).absolute().parent / HIDDEN
     return exclusive(hidden / "lock", doing) if hidden.is_dir() else nullcontext()

@@ -59,10 +59,8 @@ class Inputs:
     def content(self, file: Path, span: Span | None = None) -> Any:
         """Content of a file with its records cut to a span and checked, or None if it cannot be read.
 
-        Raises
-        ------
-        UnfitTest
-            If the span lies outside a record, or the file can be read but for what the test file says of its units or channels.
+        Raises an UnfitTest if the span lies outside a record, or the file can be read but for what the test file says of its units or
+        channels.
         """
         if (file, span) in self._contents:
             return self._contents[file, span]
@@ -260,10 +258,7 @@ class Inputs:
     def check_names(self) -> None:
         """Whether every name and frequency in the test file is in the files (see :func:`operando.pipeline.names.check_names`).
 
-        Raises
-        ------
-        UnfitTest
-            If one is not; the nearest is named.
+        Raises an UnfitTest if one is not; the nearest is named.
         """
         for part in self.test.parts:
             if part[0] not in self._names:

@@ -167,10 +167,7 @@ class Draft:
     def add(self, edit: Edit) -> None:
         """One more change.
 
-        Raises
-        ------
-        ConfigError
-            If the test file would not be valid with it: the change is not kept.
+        Raises a ConfigError if the test file would not be valid with it: the change is not kept.
         """
         self._parsed(edited(self.text, [*self.edits, edit]))
         self.edits.append(edit)
