@@ -40,7 +40,7 @@ HEAVY = (
 
 # Each room with its level; a room imports only from levels above (smaller numbers) and from itself.
 LEVELS = {
-    "errors": 0, "printable": 0, "limits": 0, "files": 0, "threads": 0,
+    "errors": 0, "printable": 0, "limits": 0, "files": 0, "threads": 0, "children": 0,
     "dof": 1, "paths": 1, "units": 1, "synthesis": 1, "processes": 1,
     "jsonable": 2,
     "data": 3, "atomic": 3,

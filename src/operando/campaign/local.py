@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import queue
 import signal
 import subprocess
@@ -14,16 +13,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import operando
 from operando.atomic import writing
 from operando.campaign.task import Task
+from operando.children import started
 from operando.errors import MissingError
 
 MOST_ATTEMPTS = 2
 """A test whose worker is killed is tried once more: a second time it is the test (its memory) that kills."""
 
 Answer = tuple[Task, dict[str, Any]]
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1") | {"MPLBACKEND": "Agg"}
 
 
 class LocalPool:
@@ -89,16 +87,11 @@ class _Worker:
     """A worker process."""
 
     def __init__(self, log: Path, alive: set[subprocess.Popen[str]]) -> None:
-        root = str(Path(operando.__file__).resolve().parents[1])
-        code = "import sys; sys.path.insert(0, sys.argv[1]); from operando.campaign.worker import main; main()"
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "encoding": "utf-8"}
         with writing(log.parent):
             log.parent.mkdir(parents=True, exist_ok=True)
             stream = open(log, "a", encoding="utf-8")  # noqa: SIM115 - closed below, the process has its own
         try:
-            # -P: a folder of measurements is no place to import from
-            command = [sys.executable, "-P", "-c", code, root]
-            self.process = subprocess.Popen(command, stderr=stream, env=os.environ | ONE_THREAD, **pipes)
+            self.process = started("operando.campaign.worker", stderr=stream)
         except OSError as error:
             raise MissingError(f"a worker process cannot be started: {error.strerror}", where=sys.executable) from error
         finally:

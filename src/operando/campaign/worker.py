@@ -8,40 +8,20 @@ from __future__ import annotations
 import json
 import os
 import queue
-import signal
-import sys
-import threading
+
+from operando.children import end_with_stdin, speaker
 
 
 def main() -> None:
     """Serve until stdin ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the driver; its end is ours
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints belongs to the log
+    say = speaker()
     tasks: queue.Queue[str] = queue.Queue()
-    threading.Thread(target=_listen, args=(tasks,), daemon=True).start()
+    end_with_stdin(tasks.put)
 
     from operando import threads
     from operando.campaign.task import Task, perform
 
     threads.limit(1)
-    _say(answers, {"ready": os.getpid()})
+    say({"ready": os.getpid()})
     while True:
-        _say(answers, perform(Task.from_dict(json.loads(tasks.get()))))
-
-
-def _say(answers: object, document: dict[str, object]) -> None:
-    print(json.dumps(document), file=answers, flush=True)  # type: ignore[call-overload]
-
-
-def _listen(tasks: queue.Queue[str]) -> None:
-    for line in sys.stdin:
-        tasks.put(line)
-    atomic = sys.modules.get("operando.atomic")
-    if atomic is not None:
-        atomic.remove_unfinished()
-    os._exit(0)
-
-
-if __name__ == "__main__":
-    main()
+        say(perform(Task.from_dict(json.loads(tasks.get()))))

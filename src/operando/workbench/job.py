@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import operando
+from operando.children import started
 from operando.pipeline import STAGES
 from operando.pipeline.share import WORDS, Share, duration, share_of
 
@@ -19,7 +16,6 @@ NAMES = {
     "run": "Run of the test", "add": "Effect added and model refitted", "candidate": "Candidate added and model refitted",
     "suggested": "Suggested effects added and model refitted", "remove": "Effect taken back and model refitted",
 }  # fmt: skip
-_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1") | {"MPLBACKEND": "Agg"}
 
 
 class Job:
@@ -33,11 +29,7 @@ class Job:
         self.stopped = self.over = False
         self._message = ""
         self._share: Share = share_of(STAGES if task["do"] == "run" else (), Path(task["folder"]))
-        root = str(Path(operando.__file__).resolve().parents[1])
-        code = "import sys; sys.path.insert(0, sys.argv[1]); from operando.workbench.worker import main; main()"
-        # -P: a folder of measurements is no place to import from
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "encoding": "utf-8"}
-        self._process = subprocess.Popen([sys.executable, "-P", "-c", code, root], env=os.environ | _ENVIRONMENT, **pipes)
+        self._process = started("operando.workbench.worker")
         assert self._process.stdin is not None
         with suppress(OSError):
             self._process.stdin.write(json.dumps(task) + "\n")

@@ -6,35 +6,20 @@ It ends when the workbench does, however that ends: the end of stdin says so.
 from __future__ import annotations
 
 import json
-import os
-import signal
 import sys
-import threading
 import traceback
 from collections.abc import Callable
 from typing import Any
 
+from operando.children import end_with_stdin, speaker
+
 
 def main() -> None:
     """Do the task and end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the workbench; its end is ours
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints belongs to the log
-
-    def say(document: dict[str, Any]) -> None:
-        print(json.dumps(document), file=answers, flush=True)
-
+    say = speaker()
     task = json.loads(sys.stdin.readline())
-    threading.Thread(target=_end_with_stdin, daemon=True).start()
+    end_with_stdin()
     say(done(task, lambda stage, message: say({"stage": stage, "message": message})))
-
-
-def _end_with_stdin() -> None:
-    sys.stdin.read()
-    atomic = sys.modules.get("operando.atomic")
-    if atomic is not None:
-        atomic.remove_unfinished()
-    os._exit(0)
 
 
 def done(task: dict[str, Any], progress: Callable[[str, str], None]) -> dict[str, Any]:
@@ -79,7 +64,3 @@ def _words(task: dict[str, Any], progress: Callable[[str, str], None]) -> list[s
     if what == "suggested":
         return list(by_hand.add_suggested(folder, progress=progress).words)
     return list(by_hand.remove_effect(folder, task["step"], progress=progress).words)
-
-
-if __name__ == "__main__":
-    main()

@@ -18,6 +18,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from operando.children import started
 from operando.errors import FormatError, MissingError
 
 TIME_LIMIT_S = 2.0
@@ -73,20 +74,14 @@ class _Helper:
     """The helper process and what it says, line by line."""
 
     def __init__(self) -> None:
-        root = str(Path(__file__).resolve().parents[3])
-        code = "import sys; sys.path.insert(0, sys.argv[1]); from operando.io.safe.helper import main; main()"
         if not sys.executable:
             raise MissingError(
                 "no Python to start a helper process with", where="sys.executable", hint="run operando by a Python interpreter"
             )
-        one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         self.owner = os.getpid()
         self.lines: queue.Queue[str] = queue.Queue()
-        # -P: a folder of measurements is no place to import from
-        command = [sys.executable, "-P", "-W", "ignore", "-c", code, root]
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:
-            self.process = subprocess.Popen(command, **pipes, text=True, encoding="utf-8", env=os.environ | one_thread)
+            self.process = started("operando.io.safe.helper", "-W", "ignore", stderr=subprocess.DEVNULL)
         except OSError as error:
             raise MissingError(f"the helper process that tries files cannot be started: {error.strerror}", where=sys.executable) from error
         threading.Thread(target=self._listen, daemon=True).start()

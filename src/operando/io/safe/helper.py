@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
+from operando.children import Say, speaker
 from operando.errors import OperandoError
 from operando.io.safe.limits import memory_allowed
 
@@ -22,21 +22,19 @@ NAMES = {"hdf5": "HDF5", "matlab": "a MATLAB file", "tdms": "TDMS"}
 
 def main() -> None:
     """Answer requests until stdin ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
+    say = speaker()
     import h5py  # noqa: F401  (loaded before the first file, so that its time and memory count for no file)
 
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints is no answer
-    print(json.dumps({"ready": True}), file=answers, flush=True)
+    say({"ready": True})
     for line in sys.stdin:
-        print(json.dumps(_answer(json.loads(line), answers)), file=answers, flush=True)
+        say(_answer(json.loads(line), say))
 
 
 class _Watch:
     """Ends the process when it computes for too long without a sign of life; tells the asking process at every sign."""
 
-    def __init__(self, limit_s: float, answers: IO[str]) -> None:
-        self.limit_s, self.answers, self.told = limit_s, answers, time.monotonic()
+    def __init__(self, limit_s: float, say: Say) -> None:
+        self.limit_s, self.say, self.told = limit_s, say, time.monotonic()
         self._set(limit_s)
 
     def alive(self) -> None:
@@ -44,7 +42,7 @@ class _Watch:
         if time.monotonic() - self.told > SIGN_EVERY_S:
             self.told = time.monotonic()
             self._set(self.limit_s)
-            print(json.dumps({"alive": True}), file=self.answers, flush=True)
+            self.say({"alive": True})
 
     def end(self) -> None:
         """The trial is over."""
@@ -56,9 +54,9 @@ class _Watch:
             signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-def _answer(request: dict[str, Any], answers: IO[str]) -> dict[str, Any]:
+def _answer(request: dict[str, Any], say: Say) -> dict[str, Any]:
     path = Path(request["path"])
-    watch = _Watch(float(request["limit_s"]), answers)
+    watch = _Watch(float(request["limit_s"]), say)
     try:
         _try(path, str(request["kind"]), watch.alive)
         return {"message": "", "hint": None}
