@@ -298,6 +298,40 @@ def test_a_day_shows_what_its_sensors_show():
     assert another_day.day_of(idle, (), frfs("none")[0], **options | {"between": None}) is None
 
 
+@pytest.mark.parametrize("another", [True, False])
+def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypatch, another):
+    """FRFs of a structure with dry friction give a day that stands for the friction (rotor 10332 of the benchmark)."""
+    monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
+    monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
+    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: "of FRFs" if another else None)
+    monkeypatch.setattr(from_records, "usual_day", lambda idle, between: ("left open", between))
+    asked = []
+
+    def looked(idle, records, day=None, **options):
+        asked.append(day)
+        now = found("clearance")
+        return now if isinstance(day, tuple) else replace(now, verdict="unexplained", effects=(), equivalents=(), notes=())
+
+    monkeypatch.setattr(from_records, "diagnose_records", looked)
+    made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"], between={"damping": 0.2})
+    assert asked[:3] == ([None, "of FRFs", ("left open", {"damping": 0.2})] if another else [None])
+    assert made.verdict == ("explained" if another else "unexplained")
+    assert any("may differ as between two days" in note for note in made.notes) == another
+
+
+def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():
+    idle = STRIP.idle()
+    n = idle.frequencies_hz.size
+    for stated, factor in (({}, 1.0), ({"stiffness": 0.03, "damping": 0.05}, 10.0)):
+        day = another_day.usual_day(idle, stated)
+        frequency, damping = day.covariance[:n, :n], day.covariance[n:, n:]
+        np.testing.assert_allclose(np.diag(frequency), factor**2 * (0.0015**2 + 0.001**2))
+        np.testing.assert_allclose(frequency[0, 1:], (factor * 0.0015) ** 2)
+        np.testing.assert_allclose(np.diag(damping), (0.5 if stated else 1.0) ** 2 * 2 * 0.07**2)
+        np.testing.assert_array_equal(day.sensor_gains, 1)
+        assert (day.idle, day.seen(np.ones(3), np.arange(2), [0])) == (idle, None)
+
+
 @pytest.mark.parametrize(
     ("verdict", "error_db", "taken"),
     [("explained", 0.9, True), ("partial", 0.4, True), ("partial", 0.6, False), ("unexplained", None, False)],
@@ -326,6 +360,7 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
 
     monkeypatch.setattr(from_records, "day_of", day_of)
     monkeypatch.setattr(from_records, "diagnose_records", looked)
+    monkeypatch.setattr(from_records, "usual_day", lambda *a: pytest.fail("a law is known, so nothing is asked without FRFs"))
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
     assert (made.verdict, bool(made.notes)) == ((verdict, True) if taken else ("partial", False))
     assert asked[0] == ([mean], min(run.force_n for run in frfs("clearance")))

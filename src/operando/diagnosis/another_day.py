@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from operando.data import ModalModel
+from operando.diagnosis.between import spreads_of
 from operando.diagnosis.by_hand import estimated, fitted_to
 from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
@@ -38,6 +40,23 @@ def day_of(
         states, _ = fitted_to(idle, effects, run, progress or (lambda text: None), may_strain=True, **options)
         state = estimated(states[-1])
         return _Bare(state, replace(state.x, u=np.zeros(0), terms=())).day(idle) if between_rows(state) else None
+
+
+def usual_day(idle: ModalModel, between: Mapping[str, float]) -> Day:
+    """Another day of which no FRFs speak: the idle model as it is, open by what differs between days in laboratories.
+
+    ``between`` is what a test states of that, as for :func:`operando.diagnose`.
+    """
+    spread = spreads_of(between)
+    modes, m = np.arange(idle.frequencies_hz.size), len(idle.dofs)
+
+    def of_modes(whole: float, each: float) -> Array:
+        return whole**2 + each**2 * np.eye(modes.size)
+
+    frequency = of_modes(spread["stiffness"] / 2, spread["mode"])
+    covariance = block_diag(frequency, of_modes(spread["damping_whole"], spread["damping"]))
+    shapes, one = np.asarray(idle.terms.shapes, float), np.ones(m)
+    return Day(idle, shapes, modes, covariance, one, spread["sensor"] * one, {}, spread["force"], lambda hz, rows, driven: None)
 
 
 @dataclass(frozen=True)
