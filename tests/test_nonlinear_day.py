@@ -10,9 +10,12 @@ import pytest
 
 from nonlinear_truth import Strip, measure_many, place
 from operando.diagnosis import diagnose_records
+from operando.diagnosis.another_day import usual_day
+from operando.diagnosis.between import FAMILIES
 from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_case, std_of
 from operando.diagnosis.records.day import powers
 from operando.diagnosis.records.motion import measured_share
+from operando.diagnosis.records.run import EXACT
 from operando.structure import ForceLaw
 from operando.structure.modal_space import Modes
 
@@ -59,6 +62,15 @@ def test_the_effect_is_found_where_the_day_is_open_and_not_where_it_is_taken_for
     for name, true in (("stiffness", STIFFNESS), ("gap", GAP)):
         assert abs(effect.values[name] - true) < max(2.5 * effect.std[name], 0.01 * true)
     assert made[False].verdict != "explained"
+
+
+def test_a_day_that_is_stated_to_be_the_same_is_no_error():
+    """A test may state that nothing differs: then all standard deviations are zero."""
+    same = usual_day(STRIP.idle(), dict.fromkeys(FAMILIES, 0.0))
+    assert not same.covariance.any()
+    run = make_case(same.idle, records(), places=[(4,)], day=same).runs[0]
+    opened = run.nuisance_prior[2 * run.ringing :, 2 * run.ringing :]
+    np.testing.assert_allclose(opened, np.eye(2 * same.modes.size) / EXACT**2)
 
 
 def test_slopes_are_those_of_the_modal_accelerations():

@@ -35,6 +35,7 @@ class Day:
     force_gains : dict
         The same of the forces, by rows of the idle model.
     force_std : float
+        Relative, in the mean over the forces.
     seen : callable
         Accelerances without these gains; None where no FRF shows one of them.
     """

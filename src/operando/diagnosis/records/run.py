@@ -31,6 +31,10 @@ VARIANCE_LINES, EVEN_LINES = 48, 16
 SLACK = 5.0
 """Standard deviation of the free decays over the rms state of their modes."""
 
+EXACT = 1e-7
+"""Relative standard deviation of a frequency or damping ratio that counts as exact: a hundredth of what the longest records show of a mode
+(2 mHz of 100 Hz in ten minutes), so that covariances with a zero have an inverse."""
+
 OWN_STRIDE = 4
 """The idle model's own variance is computed on one line of so many: resonances are wider."""
 
@@ -163,7 +167,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         moving = moving_modes(shapes, moving, error, START_NOISE**2 * level)
         beside = (shapes - modes.phi[rows_]) @ moving
         nuisance = np.concatenate([nuisance, day.slopes(modes, kernel, moving, f)])
-        prior = block_diag(prior, np.linalg.inv(day.covariance))
+        prior = block_diag(prior, np.linalg.inv(day.covariance + EXACT**2 * np.eye(changing.size)))
     own = own_variance(idle, rows_, tuple(int(i) for i in at), forces[:, lines], f)
     return Run(
         record.name,
