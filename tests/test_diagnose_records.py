@@ -339,7 +339,7 @@ def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():
 def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, verdict, error_db, taken):
     """First a law beside which 0.5 dB are left, `partial`; then with the day of the lowest level beside its mean spring."""
     mean = Effect("ground_spring", ("5+Z",), {"stiffness": 2e3})
-    monkeypatch.setattr(from_records, "_linear_at", lambda seen, run: [mean])
+    monkeypatch.setattr(from_records, "linear_at", lambda seen, run: [mean])
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     asked = []

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from nonlinear_truth import Strip, measure_many, place
-from operando.diagnosis import diagnose_records
+from operando.diagnosis import diagnose_records, masses
 from operando.diagnosis.another_day import usual_day
 from operando.diagnosis.between import FAMILIES
 from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_case, std_of
 from operando.diagnosis.records.day import powers
 from operando.diagnosis.records.motion import measured_share
 from operando.diagnosis.records.run import EXACT
+from operando.results import CheckRun
 from operando.structure import ForceLaw
+from operando.structure.effects import parse_effect
 from operando.structure.modal_space import Modes
 
 STRIP = Strip(seed=3)
@@ -62,6 +65,22 @@ def test_the_effect_is_found_where_the_day_is_open_and_not_where_it_is_taken_for
     for name, true in (("stiffness", STIFFNESS), ("gap", GAP)):
         assert abs(effect.values[name] - true) < max(2.5 * effect.std[name], 0.01 * true)
     assert made[False].verdict != "explained"
+
+
+@pytest.mark.parametrize("another", [True, False])
+def test_an_effect_that_is_added_is_fitted_on_the_day_of_the_frfs(monkeypatch, another):
+    day = day_with()
+    monkeypatch.setattr(masses, "day_of", lambda *a, **k: day if another else None)
+    monkeypatch.setattr(masses, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
+    effect = parse_effect(f"one_sided_contact@{STRIP.idle().dofs[4]}", None)
+    made = masses.apply_with_masses(day.idle, [effect], records(), [CheckRun])
+    (found,) = made.effects
+    assert any("as it is on another day" in word for word in made.words) == another
+    near = all(
+        abs(found.values[n] - true) < max(2.5 * found.std[n], 0.01 * true) for n, true in {"stiffness": STIFFNESS, "gap": GAP}.items()
+    )
+    assert near
+    assert (made.ladder[-1]["heldout_error_db"] < 0.45) == another
 
 
 def test_a_day_that_is_stated_to_be_the_same_is_no_error():

@@ -135,7 +135,7 @@ def diagnose_levels(
     def look() -> RecordsDiagnosis:
         """Against the idle model as it is, then as it is on the day of the lowest level's FRFs where these speak of another one."""
         seen = diagnose_records(idle, records, progress=progress, **of_records)
-        return on_that_day(seen, _linear_at(seen, chosen_run(check))) if check else seen
+        return on_that_day(seen, linear_at(seen, chosen_run(check))) if check else seen
 
     def on_that_day(seen: RecordsDiagnosis, effects: Sequence[Effect]) -> RecordsDiagnosis:
         """The day beside linear effects, then beside the mean springs and dampers of what the records say then, while they say more."""
@@ -159,7 +159,7 @@ def diagnose_levels(
                 return replace(seen, notes=(*seen.notes, f"records and what differs between the days: {error.message}"))
             if not _says_more(other, seen):
                 break
-            seen, effects = other, _linear_at(other, run)
+            seen, effects = other, linear_at(other, run)
         return seen
 
     def told(seen: RecordsDiagnosis, words: Sequence[str] = ()) -> RecordsDiagnosis:
@@ -277,7 +277,7 @@ def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun
     left = []
     for run in sorted(check, key=lambda run: -(run.force_n or 0.0)):
         try:
-            applied = apply_effects(idle, _linear_at(seen, run), check=run, **options)
+            applied = apply_effects(idle, linear_at(seen, run), check=run, **options)
         except OperandoError as error:
             left.append(f"{run.name}: {error.message}")
             continue
@@ -289,7 +289,7 @@ def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun
     return unknown(f"{'; '.join(left)}{mean}; no more than {100 * EXPLAINED:g} % may")
 
 
-def _linear_at(seen: RecordsDiagnosis, run: CheckRun) -> list[Effect]:
+def linear_at(seen: RecordsDiagnosis | RecordsApplied, run: CheckRun) -> list[Effect]:
     """The effects as FRFs of a run have them: of level-dependent ones the mean spring and damper of records at its level, or of all."""
     out: list[Effect] = []
     for effect, rows in zip(seen.effects, seen.equivalents, strict=True):

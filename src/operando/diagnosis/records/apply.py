@@ -14,6 +14,7 @@ from operando.diagnosis.applied import refuse_failed, words_of
 from operando.diagnosis.records.case import RecordsCase, Sets, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force
 from operando.diagnosis.records.conclude import effect_of, equivalents_of, pictures_of, simulated
+from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.diagnose import wanted_kinds
 from operando.diagnosis.records.fit_laws import fit_law
 from operando.diagnosis.records.hold_out import judged_on, lines_of, step_row
@@ -46,6 +47,7 @@ def apply_to_records(
     exclude_bands: Sequence[tuple[float, float]] = (),
     refit: bool = True,
     progress: Callable[[str], None] | None = None,
+    day: Day | None = None,
 ) -> RecordsApplied:
     """Put effects into the idle model in order, fit all of them in records, and test each step on the level that nothing was fitted to.
 
@@ -60,8 +62,8 @@ def apply_to_records(
         Of the running state with measured force.
     geometry : Geometry, optional
         For the model with the effects.
-    band, exclude_bands, progress
-        As in :func:`operando.diagnosis.diagnose_records`.
+    band, exclude_bands, progress, day
+        As in :func:`operando.diagnosis.diagnose_records`; on another day no masses are put in.
     refit : bool
         False holds all values as they are given.
 
@@ -77,6 +79,8 @@ def apply_to_records(
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
     say = progress or (lambda message: None)
+    if day is not None:
+        idle, records = day.idle, [day.corrected(record) for record in records]
     with one_blas_thread():
         masses = [e for e in effects if e.kind == "point_mass"]
         running, effects = with_masses(idle, effects)
@@ -85,7 +89,7 @@ def apply_to_records(
         # The idle model, with one mass more each, and with all of them.
         models = [with_masses(idle, masses[:k])[0] for k in range(len(masses))]
         before = [make_case(model, records, band, None, exclude_bands) for model in models]
-        first = make_case(running, records, band, None, exclude_bands)
+        first = make_case(running, records, band, None, exclude_bands, day)
         held = [not refit or _held(e) for e in effects]
         # The noise of each line is what no force at the best place explains: what is added has no part in it.
         first = weighed(first, rank_places(first, first.places)[0][1])
@@ -108,7 +112,7 @@ def apply_to_records(
         left = [misfit(lines_of(weighted[:n], of_runs[:n])) or 0.0 for of_runs in errors]
         stated: list[Effect] = []
         for k, (effect, t) in enumerate(zip(effects, steps, strict=True)):
-            std = {} if held[k] else std_of(t)
+            std = {} if held[k] else std_of(t, day)
             stated.append(replace(effect, values={n: abs(v) for n, v in t.law.values.items()}, std=std))
             # The spot saw the records without the earlier effects already.
             rows.append(step_row(given + k + 1, stated[-1], first, weighted, errors[k + 1]))
