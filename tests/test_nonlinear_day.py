@@ -17,6 +17,7 @@ from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_cas
 from operando.diagnosis.records.day import powers
 from operando.diagnosis.records.motion import measured_share
 from operando.diagnosis.records.run import EXACT
+from operando.errors import DataError
 from operando.results import CheckRun
 from operando.structure import ForceLaw
 from operando.structure.effects import parse_effect
@@ -81,6 +82,18 @@ def test_an_effect_that_is_added_is_fitted_on_the_day_of_the_frfs(monkeypatch, a
     )
     assert near
     assert (made.ladder[-1]["heldout_error_db"] < 0.45) == another
+
+
+def test_where_the_day_is_not_found_what_was_added_stays_and_it_is_said(monkeypatch):
+    def fails(*args, **options):
+        raise DataError("no FRF has these values")
+
+    monkeypatch.setattr(masses, "day_of", fails)
+    monkeypatch.setattr(masses, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
+    effect = parse_effect(f"one_sided_contact@{STRIP.idle().dofs[4]}", None)
+    made = masses.apply_with_masses(day_with().idle, [effect], records(), [CheckRun])
+    assert made.words[-1] == "records and what differs between the days: no FRF has these values"
+    assert made.effects[0].values["stiffness"] > 0
 
 
 def test_a_day_that_is_stated_to_be_the_same_is_no_error():

@@ -40,6 +40,7 @@ UNTOUCHED = (
 )
 
 OF_A_DAY = "the records are compared with the idle model as it is on another day: what differs comes from the FRFs of {run}"
+NO_DAY = "records and what differs between the days: {why}"
 OF_ANY_DAY = (
     "the records are compared with an idle model whose frequencies and damping may differ as between two days in a laboratory: the FRFs of "
     "{run} speak of another day and hold what depends on the level, too"
@@ -156,7 +157,7 @@ def diagnose_levels(
                 if not other.nonlinear and not seen.nonlinear:
                     other = on(usual_day(idle, between or {}), OF_ANY_DAY.format(run=run.name))
             except OperandoError as error:
-                return replace(seen, notes=(*seen.notes, f"records and what differs between the days: {error.message}"))
+                return replace(seen, notes=(*seen.notes, NO_DAY.format(why=error.message)))
             if not _says_more(other, seen):
                 break
             seen, effects = other, linear_at(other, run)

@@ -13,7 +13,7 @@ from operando.diagnosis.applied import Applied
 from operando.diagnosis.arguments import chosen_run
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
-from operando.diagnosis.from_records import OF_A_DAY, linear_at
+from operando.diagnosis.from_records import NO_DAY, OF_A_DAY, linear_at
 from operando.diagnosis.records import RecordsApplied, apply_to_records
 from operando.errors import OperandoError
 from operando.results import CheckRun
@@ -51,11 +51,15 @@ def apply_with_masses(
     if check and not any(e.kind == "point_mass" for e in effects) and applied.ladder[-1]["heldout_misfit"] > GOOD:
         run = chosen_run(check)
         of_day = {name: options.get(name) for name in ("band", "geometry")} | {"idle_frf": None, "between": None} | (frf_options or {})
-        day = day_of(idle, linear_at(applied, run), run, options.get("progress"), **of_day)
-        if day is not None:
-            other = apply_to_records(idle, effects, records, exclude_bands=exclude_bands, day=day, **options)
-            if other.ladder[-1]["heldout_error_db"] < applied.ladder[-1]["heldout_error_db"]:
-                applied, words = other, [*words, OF_A_DAY.format(run=run.name)]
+        try:
+            day = day_of(idle, linear_at(applied, run), run, options.get("progress"), **of_day)
+            other = None if day is None else apply_to_records(idle, effects, records, exclude_bands=exclude_bands, day=day, **options)
+        except OperandoError as error:
+            other = None
+            words.append(NO_DAY.format(why=error.message))
+        if other is not None and other.ladder[-1]["heldout_error_db"] < applied.ladder[-1]["heldout_error_db"]:
+            applied = other
+            words.append(OF_A_DAY.format(run=run.name))
     return replace(applied, words=(*applied.words, *words))
 
 
