@@ -107,7 +107,8 @@ class _Bare:
             return np.log(np.concatenate([at.f[m], at.zeta[m]]))
 
         of_idle = np.concatenate([moved.by_f[m] / moved.f[m, None], moved.by_zeta[m] / moved.zeta[m, None]])
-        of_day = [(logs(self.x.d + step) - logs(self.x.d)) / _STEP for step in _STEP * np.eye(self.x.d.size)]
+        here = logs(self.x.d)
+        of_day = [(logs(self.x.d + step) - here) / _STEP for step in _STEP * np.eye(self.x.d.size)]
         slopes = np.column_stack([of_idle, *of_day])
         n = slopes.shape[1]
         return np.asarray(slopes @ self.state.factor.shared_covariance(0)[:n, :n] @ slopes.T)

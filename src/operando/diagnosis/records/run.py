@@ -32,8 +32,8 @@ SLACK = 5.0
 """Standard deviation of the free decays over the rms state of their modes."""
 
 EXACT = 1e-7
-"""Relative standard deviation of a frequency or damping ratio that counts as exact: a hundredth of what the longest records show of a mode
-(2 mHz of 100 Hz in ten minutes), so that covariances with a zero have an inverse."""
+"""Relative standard deviation of a frequency or damping ratio that counts as exact, so that covariances with a zero have an inverse: less
+than a hundredth of a line of ten minutes at 100 Hz (2 mHz)."""
 
 OWN_STRIDE = 4
 """The idle model's own variance is computed on one line of so many: resonances are wider."""
