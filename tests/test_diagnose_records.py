@@ -122,8 +122,9 @@ def test_records_in_which_nothing_depends_on_the_level_are_not_searched_for_a_la
     linear = replace(found("spring"), verdict="unexplained", effects=(), model=None)
     idle_frf = at_rest() if rest else None
     made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()[name], idle_frf=idle_frf)
-    assert made is linear
+    assert (made.verdict, made.effects) == ("unexplained", ())
     assert bool(looks) is looked
+    assert any("at least" in note for note in made.notes) == (share != 0.9)
 
 
 def test_a_clearance_is_found_from_the_records():
@@ -314,9 +315,43 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
 
     monkeypatch.setattr(from_records, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"], between={"damping": 0.2})
-    assert asked[:3] == ([None, "of FRFs", ("left open", {"damping": 0.2})] if another else [None])
+    assert asked[:4] == ([None, "of FRFs", "of FRFs", ("left open", {"damping": 0.2})] if another else [None])
     assert made.verdict == ("explained" if another else "unexplained")
     assert any("may differ as between two days" in note for note in made.notes) == another
+
+
+def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it_acts(monkeypatch):
+    """FRFs of the lowest level hold the mean spring and damper of a law, and a day beside nothing takes them (frame 10333)."""
+    monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
+    monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
+    monkeypatch.setattr(from_records, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
+    law = found("clearance")
+    (tried, *_), asked = law.candidates, []
+    assert tried["location"] == ["5+Z"]
+
+    def looked(idle, records, day=None, **options):
+        asked.append(day)
+        return law if day else replace(law, verdict="unexplained", effects=(), equivalents=(), notes=())
+
+    monkeypatch.setattr(from_records, "diagnose_records", looked)
+    made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
+    assert made.verdict == "explained"
+    assert asked[:2] == [None, ()]
+    assert [text.split("@")[0] for text in asked[2]] == ["ground_spring", "ground_damper"]
+    assert all("5+Z" in text for text in asked[2])
+
+
+@pytest.mark.parametrize(("times", "verdict"), [(0.9, "explained"), (1.1, "partial")])
+def test_linear_effects_do_not_explain_what_depends_on_the_level(monkeypatch, times, verdict):
+    """FRFs of the lowest level may hold an effect that is not there, where no law is found (rotor 10303); by ``FAINT``."""
+    linear = found("spring")
+    monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
+    monkeypatch.setattr(from_records, "measured_distortion", lambda *a: times * from_records.FAINT)
+    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
+    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=(), effects=(), equivalents=()))
+    made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()["spring"])
+    assert (made.verdict, made.effects) == (verdict, linear.effects)
+    assert (verdict == "explained") == (made.reason is None)
 
 
 def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():

@@ -100,6 +100,11 @@ def test_levels_of_a_linear_structure_leave_the_same_share():
     assert 0.5 < measured_distortion(STRIP.idle(), records()["none"]) < 0.7 * FAINT
 
 
+def test_what_few_lines_hold_says_little_about_the_level():
+    """A spring the idle model lacks: the lines about one sharp resonance hold three times as much at one level (``SURELY``)."""
+    assert measured_distortion(STRIP.idle(), records()["spring"]) < 1
+
+
 def test_a_law_of_even_order_is_found_where_frfs_see_nothing():
     idle, own = STRIP.idle(), records()["quadratic"]
     assert measured_distortion(idle, own) > 2 * FAINT

@@ -84,6 +84,7 @@ def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_record
         return seen
 
     monkeypatch.setattr(from_records, "diagnose_records", look)
+    monkeypatch.setattr(from_records, "measured_distortion", lambda *args: None)
     monkeypatch.setattr(from_records, "sizes_by_level", lambda *args: [row])
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: (seen, rest[-1]))
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
@@ -95,7 +96,6 @@ def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_record
     assert str(row) in out.reason
     assert any(str(row) in note for note in out.notes)
     monkeypatch.setattr(from_records, "sizes_by_level", lambda *args: [replace(row, change=0.01)])
-    monkeypatch.setattr(from_records, "measured_distortion", lambda *args: None)
     assert from_records.diagnose_levels(lambda: found, model().idle, [], []) is found
 
 
@@ -105,6 +105,7 @@ def test_that_levels_could_not_be_compared_is_a_note(monkeypatch):
     def none(*args):
         raise DataError("too short")
 
+    monkeypatch.setattr(from_records, "measured_distortion", lambda *args: None)
     monkeypatch.setattr(from_records, "sizes_by_level", none)
     out = from_records.diagnose_levels(lambda: found, model().idle, [], [])
     assert out.verdict == "explained"

@@ -16,6 +16,9 @@ from operando.structure.modal_space import Complex, Modes, Real
 STRETCH = 40
 """Neighbouring lines over which what is proportional to the force, and what rings, is smooth."""
 
+SURELY = 4.0
+"""Standard deviations of the scatter of noise: one in 300 measurements of a hundred stretches."""
+
 BLOCK_SECONDS = 4.0
 """Length of the Hann blocks for coherence and levels."""
 
@@ -68,33 +71,35 @@ def detect(case: RecordsCase) -> dict[str, Any]:
 
 
 def distortion(case: RecordsCase) -> float | None:
-    """How much more is not proportional to the force at the highest level than at the lowest, over the power of the force.
+    """How much more, surely, is not proportional to the force at the highest level than at the lowest, over the power of the force.
 
     Both levels of one linear structure leave the same share, or less at the higher one, where noise does not grow with the level. A law of
     even order leaves the best linear approximation as it is, and shows here.
 
-    The largest over stretches of lines, in the mean over responses (one linear system: 1, with the scatter of noise up to 2); None where
-    there is one level.
+    In the mean over responses, ``SURELY`` standard deviations less than seen, the largest over stretches of lines (one linear system: no
+    more than 1); None where there is one level.
     """
     largest = []
     for runs in case.by_reference():
         low, high = runs[0], runs[-1]
         if one_level(low.force_level, high.force_level) or low.rows.size != high.rows.size:
             continue
-        (low_hz, quiet), (high_hz, loud) = unproportional(low, case.modes), unproportional(high, case.modes)
+        (low_hz, quiet, quiet_variance), (high_hz, loud, loud_variance) = (unproportional(run, case.modes) for run in (low, high))
         if not low_hz.size or not high_hz.size:
             continue
         near = np.abs(low_hz[:, None] - high_hz).argmin(axis=0)
         ratio = loud / np.maximum(quiet[near], 1e-300) * (low.force_level / high.force_level) ** 2
-        largest.append(float(np.max(np.mean(ratio, axis=1))))
+        surely = np.exp(-SURELY * np.sqrt(loud_variance + quiet_variance[near]))
+        largest.append(float(np.max(np.mean(ratio, axis=1) * surely)))
     return max(largest, default=None)
 
 
-def unproportional(run: Run, modes: Modes) -> tuple[Real, Real]:
+def unproportional(run: Run, modes: Modes) -> tuple[Real, Real, Real]:
     """Power of the error that is neither free decays, nor the forces or a constant times a parabola, over stretches: hz (s,), (s, q).
 
     Over the power that the idle model and the mean of the lines would lead one to expect: noise of the force stands at resonances, and few
-    lines of a sharp one would outweigh all others.
+    lines of a sharp one would outweigh all others. And the variance (s,) of the logarithm of its mean: power of noise scatters by itself
+    from line to line, and the fewer lines hold it, the more.
     """
     starts = np.arange(0, run.lines.size - STRETCH + 1, STRETCH)
     # No stretch over lines that were left out.
@@ -105,7 +110,7 @@ def unproportional(run: Run, modes: Modes) -> tuple[Real, Real]:
     columns = [f[:, :, None] * parabola for f in forces]
     table = np.concatenate([*columns, np.broadcast_to(parabola, (starts.size, STRETCH, 3))], axis=2)
     if table.shape[2] > STRETCH // 2:
-        return np.zeros(0), np.zeros((0, run.rows.size))
+        return np.zeros(0), np.zeros((0, run.rows.size)), np.zeros(0)
     q, _ = np.linalg.qr(table)
     density = np.mean(np.abs(run.forces[: len(run.forces_at), run.lines]) ** 2, axis=1)
     model = sum(p * np.abs(run.accelerance(modes, b)) ** 2 for p, b in zip(density, run.directions, strict=False))
@@ -113,4 +118,7 @@ def unproportional(run: Run, modes: Modes) -> tuple[Real, Real]:
     # Without the free decays, which stand as sharp as the resonances.
     error = ((run.error - run.fallen(Weighted.of(run).ringing()[0])) / size)[:, index].transpose(1, 2, 0)
     rest = error - q @ (q.conj().transpose(0, 2, 1) @ error)
-    return run.hz[index].mean(axis=1), np.asarray(np.sum(np.abs(rest) ** 2, axis=1) / (STRETCH - table.shape[2]))
+    power = np.abs(rest) ** 2
+    of_lines = np.sum(power, axis=2)
+    variance = np.sum(of_lines**2, axis=1) / np.maximum(np.sum(of_lines, axis=1) ** 2, 1e-300) / 2
+    return run.hz[index].mean(axis=1), np.asarray(np.sum(power, axis=1) / (STRETCH - table.shape[2])), np.asarray(variance)
