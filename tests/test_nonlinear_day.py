@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nonlinear_truth import Strip, measure_many, place
-from operando.diagnosis import diagnose_records, masses
+from operando.diagnosis import diagnose_records, with_frfs
 from operando.diagnosis.another_day import usual_day
 from operando.diagnosis.between import FAMILIES
 from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_case, std_of
@@ -72,10 +72,10 @@ def test_the_effect_is_found_where_the_day_is_open_and_not_where_it_is_taken_for
 def test_an_effect_that_is_added_is_fitted_on_the_day_of_the_frfs(monkeypatch, another):
     """Without the day 0.50 dB are left on the hold-out set, with it 0.40."""
     day = day_with()
-    monkeypatch.setattr(masses, "day_of", lambda *a, **k: day if another else None)
-    monkeypatch.setattr(masses, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
+    monkeypatch.setattr(with_frfs, "day_of", lambda *a, **k: day if another else None)
+    monkeypatch.setattr(with_frfs, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
     effect = parse_effect(f"one_sided_contact@{STRIP.idle().dofs[4]}", None)
-    made = masses.apply_with_masses(day.idle, [effect], records(), [CheckRun])
+    made = with_frfs.apply_with_frfs(day.idle, [effect], records(), [CheckRun])
     (found,) = made.effects
     assert any("as it is on another day" in word for word in made.words) == another
     near = all(
@@ -89,10 +89,10 @@ def test_where_the_day_is_not_found_what_was_added_stays_and_it_is_said(monkeypa
     def fails(*args, **options):
         raise DataError("no FRF has these values")
 
-    monkeypatch.setattr(masses, "day_of", fails)
-    monkeypatch.setattr(masses, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
+    monkeypatch.setattr(with_frfs, "day_of", fails)
+    monkeypatch.setattr(with_frfs, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
     effect = parse_effect(f"one_sided_contact@{STRIP.idle().dofs[4]}", None)
-    made = masses.apply_with_masses(day_with().idle, [effect], records(), [CheckRun])
+    made = with_frfs.apply_with_frfs(day_with().idle, [effect], records(), [CheckRun])
     assert made.words[-1] == "records and what differs between the days: no FRF has these values"
     assert made.effects[0].values["stiffness"] > 0
 

@@ -17,11 +17,11 @@ from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.records import Day, RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
-from operando.dof import Node
+from operando.dof import Dof, Node
 from operando.errors import MissingError, OperandoError
 from operando.results import CheckRun
 from operando.structure import LinearEquivalent, has_restoring_force, linear_effects
-from operando.structure.effects import Effect, kind_of
+from operando.structure.effects import Effect, parse_effect
 
 DISTORTION, LOUDEST = 3.0, 0.75
 """What FRFs leave unexplained in the check may be this many times what they leave at rest, at the quantile of the responses that follows;
@@ -158,8 +158,10 @@ def diagnose_levels(
                 if other is None:
                     break
                 # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
-                if not (seen.nonlinear or other.nonlinear) and (mean := _mean_at_best(other)):
-                    other = beside(mean) or other
+                tried = [row for row in other.candidates if row["selection_misfit"] is not None]
+                if tried and not (seen.nonlinear or other.nonlinear):
+                    best = Effect.from_dict(tried[0]).location
+                    other = beside(spring_and_damper(best, band or idle.band_hz)) or other
                 if not (seen.nonlinear or other.nonlinear):
                     other = on(usual_day(idle, between or {}), OF_ANY_DAY)
             except OperandoError as error:
@@ -237,13 +239,10 @@ def diagnose_levels(
     return told(seen) if seen.nonlinear and seen.verdict in SURE else found
 
 
-def _mean_at_best(seen: RecordsDiagnosis) -> list[Effect]:
-    """Spring and damper, which FRFs know a law by, where the law that leaves least acts; none where no law was tried."""
-    tried = [Effect.from_dict(row).location for row in seen.candidates if row["selection_misfit"] is not None]
-    if not tried:
-        return []
-    kinds = [kind_of(f"{'coupling' if len(tried[0]) == 2 else 'ground'}_{part}") for part in ("spring", "damper")]
-    return [Effect(kind.kind, tried[0], {p.name: p.start() for p in kind.parameters}) for kind in kinds]
+def spring_and_damper(location: Sequence[Dof], band: tuple[float, float] | None) -> list[Effect]:
+    """What FRFs of one level know a law at a location by, with the sizes that a fit begins at."""
+    kind, place = "coupling" if len(location) == 2 else "ground", ",".join(map(str, location))
+    return [parse_effect(f"{kind}_{part}@{place}", band) for part in ("spring", "damper")]
 
 
 def _says_more(one: RecordsDiagnosis, other: RecordsDiagnosis) -> bool:

@@ -173,7 +173,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect], progr
     from operando.diagnosis import RecordsApplied, apply_effects
     from operando.diagnosis.at_level import following
     from operando.diagnosis.from_records import need_records, with_levels
-    from operando.diagnosis.masses import apply_with_masses
+    from operando.diagnosis.with_frfs import apply_with_frfs
     from operando.pipeline.outputs import STEP_OUTPUTS
 
     idle = results.idle
@@ -187,7 +187,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect], progr
     frf_options: dict[str, Any] = {"idle_frf": at_rest, "between": results.settings.get("between") or None}
     if need_records(effects, before.get("data") or ()):
         records, bands = check_records(str(folder.path), results), left_out(results)
-        applied = apply_with_masses(idle, effects, records, runs, bands, frf_options, band=band or idle.band_hz, **options)
+        applied = apply_with_frfs(idle, effects, records, runs, bands, frf_options, band=band or idle.band_hz, **options)
     else:
         applied = apply_effects(idle, effects, check=runs, band=band, **frf_options, **options)
     done = applied.to_dict()

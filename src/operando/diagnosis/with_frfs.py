@@ -1,4 +1,4 @@
-"""Masses beside level-dependent effects: sized by FRFs, and held where the others are fitted to records."""
+"""Effects fitted to records, with what the FRFs of the same measurement say: sizes of masses, and what the day was."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from operando.diagnosis.applied import Applied
 from operando.diagnosis.arguments import chosen_run
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
-from operando.diagnosis.from_records import NO_DAY, OF_A_DAY, linear_at
+from operando.diagnosis.from_records import NO_DAY, OF_A_DAY, linear_at, spring_and_damper
 from operando.diagnosis.records import RecordsApplied, apply_to_records
 from operando.errors import OperandoError
 from operando.results import CheckRun
-from operando.structure.effects import Effect, parse_effect
+from operando.structure.effects import Effect
 
 
-def apply_with_masses(
+def apply_with_frfs(
     idle: ModalModel,
     effects: Sequence[Effect],
     records: Sequence[TimeRecord],
@@ -29,7 +29,7 @@ def apply_with_masses(
     frf_options: dict[str, Any] | None = None,
     **options: Any,
 ) -> RecordsApplied:
-    """:func:`apply_to_records`, with masses sized by the FRFs of the same records.
+    """:func:`apply_to_records`, with masses sized by the FRFs of the same records, and on the day of these FRFs.
 
     A spring and a damper stand in the FRFs of each level for a level-dependent effect; the level whose FRFs they explain best counts.
     Without masses, records that the effects leave unexplained are held against the idle model on the day of the FRFs, too, and that counts
@@ -67,10 +67,7 @@ def _sized(idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun
     """The fit of a spring and a damper for each level-dependent effect to FRFs of one run, and which; or None, and why."""
     linear: list[Effect] = []
     for e in effects:
-        name = "coupling" if len(e.location) == 2 else "ground"
-        place = ",".join(map(str, e.location))
-        kinds = (f"{name}_spring", f"{name}_damper") if e.definition.level_dependent else ()
-        linear += [parse_effect(f"{kind}@{place}", options.get("band") or idle.band_hz) for kind in kinds] or [e]
+        linear += spring_and_damper(e.location, options.get("band") or idle.band_hz) if e.definition.level_dependent else [e]
     best, why = None, "there are no FRFs of the validation measurement"
     least = float("inf")
     for run in check:
