@@ -11,9 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from operando.diagnosis import another_day, diagnose, from_records
-from operando.diagnosis.from_records import DISTORTION, beyond_rest, standing, suspicion, suspicion_at
+from operando.diagnosis import another_day, diagnose, from_records, records_and_days
+from operando.diagnosis.from_records import standing
 from operando.diagnosis.records import steps
+from operando.diagnosis.suspicion import DISTORTION, FAINT, beyond_rest, suspicion, suspicion_at
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
 from operando.structure.effects import Effect
@@ -92,10 +93,10 @@ def test_distortion_at_the_location_of_an_effect_is_suspicious(share, kind, susp
 @pytest.mark.parametrize("nonlinear", [True, False])
 def test_where_the_location_of_an_effect_is_distorted_the_records_are_looked_at(monkeypatch, nonlinear):
     linear, seen = found("spring"), SimpleNamespace(nonlinear=("bilinear_stiffness",) * nonlinear, effects=(), equivalents=())
-    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
     monkeypatch.setattr(from_records, "suspicion_at", lambda effects, check, idle_frf: "the response at 4+Z holds 5 times as much")
-    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: seen)
+    monkeypatch.setattr(records_and_days, "diagnose_records", lambda *a, **k: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()["spring"])
@@ -114,11 +115,11 @@ def test_records_in_which_nothing_depends_on_the_level_are_not_searched_for_a_la
     """Levels agree in FRFs, and in what is not proportional to the force up to ``FAINT``; that is also held against the idle FRFs."""
     looks = []
     seen = SimpleNamespace(nonlinear=(), effects=(), equivalents=(), verdict="no_misfit", ladder=({"heldout_misfit": 1.0},))
-    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: looks.append(1) or seen)
+    monkeypatch.setattr(records_and_days, "diagnose_records", lambda *a, **k: looks.append(1) or seen)
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
-    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
     if share is not None:
-        monkeypatch.setattr(from_records, "measured_distortion", lambda *a: share * from_records.FAINT)
+        monkeypatch.setattr(from_records, "measured_distortion", lambda *a: share * FAINT)
     linear = replace(found("spring"), verdict="unexplained", effects=(), model=None)
     idle_frf = at_rest() if rest else None
     made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()[name], idle_frf=idle_frf)
@@ -185,8 +186,8 @@ def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, 
     said = "runs of different level disagree" if levels else "the responses hold more than at rest"
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: said)
     monkeypatch.setattr(from_records, "levels_disagree", lambda check: levels)
-    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=(), effects=(), equivalents=()))
-    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
+    monkeypatch.setattr(records_and_days, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=(), effects=(), equivalents=()))
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
     linear = found("spring")
     assert linear.verdict == "explained"
     ladder = (*linear.ladder[:-1], {**linear.ladder[-1], "heldout_misfit": left})
@@ -304,8 +305,8 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
     """FRFs of a structure with dry friction give a day that stands for the friction (rotor 10332 of the benchmark)."""
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
-    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: "of FRFs" if another else None)
-    monkeypatch.setattr(from_records, "usual_day", lambda idle, between: ("left open", between))
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: "of FRFs" if another else None)
+    monkeypatch.setattr(records_and_days, "usual_day", lambda idle, between: ("left open", between))
     asked = []
 
     def looked(idle, records, day=None, **options):
@@ -313,7 +314,7 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
         now = found("clearance")
         return now if isinstance(day, tuple) else replace(now, verdict="unexplained", effects=(), equivalents=(), notes=())
 
-    monkeypatch.setattr(from_records, "diagnose_records", looked)
+    monkeypatch.setattr(records_and_days, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"], between={"damping": 0.2})
     assert asked[:4] == ([None, "of FRFs", "of FRFs", ("left open", {"damping": 0.2})] if another else [None])
     assert made.verdict == ("explained" if another else "unexplained")
@@ -324,7 +325,7 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
     """FRFs of the lowest level hold the mean spring and damper of a law, and a day beside nothing takes them (frame 10333)."""
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
-    monkeypatch.setattr(from_records, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
+    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
     law = found("clearance")
     (tried, *_), asked = law.candidates, []
     assert tried["location"] == ["5+Z"]
@@ -333,7 +334,7 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
         asked.append(day)
         return law if day else replace(law, verdict="unexplained", effects=(), equivalents=(), notes=())
 
-    monkeypatch.setattr(from_records, "diagnose_records", looked)
+    monkeypatch.setattr(records_and_days, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
     assert made.verdict == "explained"
     assert asked[:2] == [None, ()]
@@ -346,9 +347,9 @@ def test_linear_effects_do_not_explain_what_depends_on_the_level(monkeypatch, ti
     """FRFs of the lowest level may hold an effect that is not there, where no law is found (rotor 10303); by ``FAINT``."""
     linear = found("spring")
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
-    monkeypatch.setattr(from_records, "measured_distortion", lambda *a: times * from_records.FAINT)
-    monkeypatch.setattr(from_records, "day_of", lambda *a, **k: None)
-    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=(), effects=(), equivalents=()))
+    monkeypatch.setattr(from_records, "measured_distortion", lambda *a: times * FAINT)
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
+    monkeypatch.setattr(records_and_days, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=(), effects=(), equivalents=()))
     made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()["spring"])
     assert (made.verdict, made.effects) == (verdict, linear.effects)
     assert (verdict == "explained") == (made.reason is None)
@@ -374,7 +375,7 @@ def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():
 def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, verdict, error_db, taken):
     """First a law beside which 0.5 dB are left, `partial`; then with the day of the lowest level beside its mean spring."""
     mean = Effect("ground_spring", ("5+Z",), {"stiffness": 2e3})
-    monkeypatch.setattr(from_records, "linear_at", lambda seen, run: [mean])
+    monkeypatch.setattr(records_and_days, "linear_at", lambda seen, run: [mean])
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     asked = []
@@ -393,10 +394,10 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
             now, verdict=verdict, effects=effects, ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": error_db}), notes=()
         )
 
-    monkeypatch.setattr(from_records, "day_of", day_of)
-    monkeypatch.setattr(from_records, "diagnose_records", looked)
-    monkeypatch.setattr(from_records, "usual_day", lambda *a: pytest.fail("a law is known, so nothing is asked without FRFs"))
+    monkeypatch.setattr(records_and_days, "day_of", day_of)
+    monkeypatch.setattr(records_and_days, "diagnose_records", looked)
+    monkeypatch.setattr(records_and_days, "usual_day", lambda *a: pytest.fail("a law is known, so nothing is asked without FRFs"))
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
     assert (made.verdict, bool(made.notes)) == ((verdict, True) if taken else ("partial", False))
     assert asked[0] == ([mean], min(run.force_n for run in frfs("clearance")))
-    assert len(asked) == (from_records.DAYS if taken else 1)
+    assert len(asked) == (records_and_days.DAYS if taken else 1)

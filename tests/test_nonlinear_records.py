@@ -11,8 +11,9 @@ import pytest
 
 from nonlinear_truth import Strip, measure_many, place
 from operando.diagnosis import diagnose_records, measured_distortion
-from operando.diagnosis.from_records import FAINT, diagnose_levels
+from operando.diagnosis.from_records import diagnose_levels
 from operando.diagnosis.result import Diagnosis
+from operando.diagnosis.suspicion import FAINT
 from operando.dof import Dof
 from operando.errors import DataError, MissingError
 from operando.structure import linear_effects

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from operando.data import ModalModel
-from operando.diagnosis import from_records
+from operando.diagnosis import from_records, records_and_days
 from operando.diagnosis.criteria import LEVEL_CHANGE, UNUSUAL
 from operando.diagnosis.result import Diagnosis
 from operando.diagnosis.size_by_level import SizeByLevel, sizes_by_level
@@ -83,7 +83,7 @@ def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_record
             raise DataError("too short")
         return seen
 
-    monkeypatch.setattr(from_records, "diagnose_records", look)
+    monkeypatch.setattr(records_and_days, "diagnose_records", look)
     monkeypatch.setattr(from_records, "measured_distortion", lambda *args: None)
     monkeypatch.setattr(from_records, "sizes_by_level", lambda *args: [row])
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: (seen, rest[-1]))

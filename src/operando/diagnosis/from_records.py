@@ -6,50 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
-from operando.diagnosis.another_day import day_of, usual_day
-from operando.diagnosis.arguments import chosen_run
+from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnosis.at_level import level_picture
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
-from operando.diagnosis.records import Day, RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
+from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, measured_distortion
+from operando.diagnosis.records_and_days import SURE, RecordsAndDays, linear_at
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
-from operando.dof import Dof, Node
+from operando.diagnosis.suspicion import DISTORTION, FAINT, beyond_rest, suspicion, suspicion_at
 from operando.errors import MissingError, OperandoError
 from operando.results import CheckRun
 from operando.structure import LinearEquivalent, has_restoring_force, linear_effects
-from operando.structure.effects import Effect, parse_effect
-
-DISTORTION, LOUDEST = 3.0, 0.75
-"""What FRFs leave unexplained in the check may be this many times what they leave at rest, at the quantile of the responses that follows;
-over 119 linear cases it was 0.3 to 2.9 times. Responses far from a contact show little of it, so the median says too little. At the
-locations of linear effects that were found it was 2.9 times at most in 228 cases; 4.9 where a bilinear stiffness had been taken for a
-spring."""
-
-FAINT = 1.5
-"""And where they agree, what is not proportional to the force may surely be this many times as much at the higher level as at the lower:
-one linear system leaves no more than 1, and noise may grow faster than the force. 0.5 to 1.06 in 115 linear cases; 1.9 to 1700 in 32 cases
-with hysteresis, gaps and laws of powers. A bilinear stiffness scales with the level and is left to ``DISTORTION``."""
+from operando.structure.effects import Effect
 
 UNTOUCHED = (
     "the validation FRFs are as probable with nothing touched between the idle and the operating measurement; gains, positions of "
     "sensors, temperature and damping count as the same"
 )
-
-OF_A_DAY = "the records are compared with the idle model as it is on another day: what differs comes from the FRFs of {run}"
-NO_DAY = "records and what differs between the days: {why}"
-OF_ANY_DAY = (
-    "the records are compared with an idle model whose frequencies and damping may differ as between two days in a laboratory: the FRFs of "
-    "{run} speak of another day and hold what depends on the level, too"
-)
-DAYS = 2
-"""Times that the day is found: beside what is known first, and beside what the records say then. The second time moved values by 0 to 6 %,
-less than a quarter of their standard deviations (clearance and saturating spring of ``benchmarks/hidden_effects``, 10300 and 10305)."""
-
-SURE = ("explained", "no_misfit", "ambiguous")
 
 
 def need_records(effects: Sequence[Effect], data: Sequence[str] = ()) -> bool:
@@ -57,56 +31,6 @@ def need_records(effects: Sequence[Effect], data: Sequence[str] = ()) -> bool:
     if any(e.definition.acts == "pseudo_force" for e in effects):
         return True
     return "check_records" in data and all(has_restoring_force(e) for e in effects)
-
-
-def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | None:
-    """Why the running structure may not be linear, or None.
-
-    Runs of different level that disagree carry a finding ``nonlinear``. What the responses of ``idle_frf`` leave unexplained at rest is
-    noise; what is beyond it in operation is distortion. A stiffness that changes with the sign of the motion shows only there: it scales
-    with the level.
-    """
-    if levels_disagree(check):
-        return "runs of different level disagree"
-    loudest = [float(np.quantile(list(times.values()), LOUDEST)) for times in beyond_rest(check, idle_frf) if times]
-    return _held("the responses in operation hold", max(loudest, default=0.0))
-
-
-def suspicion_at(effects: Sequence[Effect], check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | None:
-    """Why linear effects may stand for one that is not linear, or None: by the responses at their own locations.
-
-    A stiffness that changes with the sign of the motion has the FRFs of a spring at every level; what it adds beside is largest at its own
-    location.
-    """
-    here = {dof.key: dof for effect in effects if effect.definition.group not in ("sensor", "force") for dof in effect.location}
-    at = [(times, here[key]) for run in beyond_rest(check, idle_frf) for key, times in run.items() if key in here]
-    most, dof = max(at, key=lambda row: row[0], default=(0.0, None))
-    return _held(f"the response at {dof} holds", most)
-
-
-def _held(what: str, times: float) -> str | None:
-    if not times > DISTORTION:
-        return None
-    return f"{what} {times:.3g} times as much as in the idle state that is not proportional to the force"
-
-
-def beyond_rest(check: Sequence[CheckRun], idle_frf: Frf | None) -> list[dict[tuple[Node, str], float]]:
-    """Of each run and response: how many times as much is not proportional to the force as at rest."""
-    quiet = {} if idle_frf is None else unexplained(idle_frf)
-    return [{dof: value / quiet[dof] for dof, value in unexplained(run.frf).items() if quiet.get(dof, 0) > 0} for run in check]
-
-
-def unexplained(frf: Frf) -> dict[tuple[Node, str], float]:
-    """Share of each response's power that is not proportional to the forces, in the median over lines."""
-    if frf.variance is None:
-        return {}
-    size = np.abs(frf.data) ** 2
-    out = {}
-    for dof, variance, power in zip(frf.responses, frf.variance, size, strict=True):
-        good = np.isfinite(variance) & np.isfinite(power) & (power > 0)
-        if good.any():
-            out[dof.key] = float(np.median(variance[good] / power[good]) * (frf.averages or 1.0))
-    return out
 
 
 def diagnose_levels(
@@ -130,59 +54,20 @@ def diagnose_levels(
     ``linear`` makes the diagnosis from the check FRFs; None where there are none, and the records alone decide.
     """
 
-    of_frfs: dict[str, Any] = {"band": band, "geometry": geometry, "idle_frf": idle_frf, "between": between}
-    of_records: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "exclude_bands": exclude_bands}
-
-    def look() -> RecordsDiagnosis:
-        """Against the idle model as it is, then as it is on the day of the lowest level's FRFs where these speak of another one."""
-        seen = diagnose_records(idle, records, progress=progress, **of_records)
-        return on_that_day(seen, linear_at(seen, chosen_run(check))) if check else seen
-
-    def on_that_day(seen: RecordsDiagnosis, effects: Sequence[Effect]) -> RecordsDiagnosis:
-        """The day beside linear effects, then beside the mean springs and dampers of what the records say then, while they say more."""
-        run = chosen_run(check)
-
-        def on(day: Day, words: str) -> RecordsDiagnosis:
-            if progress:
-                progress(f"look at the records with what differs between the days by {run.name}")
-            other = diagnose_records(idle, records, progress=progress, day=day, **of_records)
-            return replace(other, notes=(*other.notes, words.format(run=run.name)))
-
-        def beside(linear: Sequence[Effect]) -> RecordsDiagnosis | None:
-            day = day_of(idle, linear, run, progress, **of_frfs)
-            return None if day is None else on(day, OF_A_DAY)
-
-        for _ in range(DAYS):
-            try:
-                other = beside(effects)
-                if other is None:
-                    break
-                # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
-                tried = [row for row in other.candidates if row["selection_misfit"] is not None]
-                if tried and not (seen.nonlinear or other.nonlinear):
-                    best = Effect.from_dict(tried[0]).location
-                    other = beside(spring_and_damper(best, band or idle.band_hz)) or other
-                if not (seen.nonlinear or other.nonlinear):
-                    other = on(usual_day(idle, between or {}), OF_ANY_DAY)
-            except OperandoError as error:
-                return replace(seen, notes=(*seen.notes, NO_DAY.format(why=error.message)))
-            if not _says_more(other, seen):
-                break
-            seen, effects = other, linear_at(other, run)
-        return seen
+    wanted = {"kinds": kinds, "places": places, "exclude_bands": exclude_bands}
+    looks = RecordsAndDays(idle, check, records, band, geometry, idle_frf, between, progress, wanted)
 
     def told(seen: RecordsDiagnosis, words: Sequence[str] = ()) -> RecordsDiagnosis:
-        return with_days(merged(seen, idle, check, band, compared, words), idle, check, progress=progress, **of_frfs)
+        return with_days(merged(seen, idle, check, band, compared, words), idle, check, progress=progress, **looks.of_frfs)
 
     if linear is None:
-        return told(look())
+        return told(looks.look())
     notes: list[str] = []
 
     def seen_because(reason: str) -> RecordsDiagnosis | None:
-        if progress:
-            progress(f"look at the records: {reason}")
+        looks.say(f"look at the records: {reason}")
         try:
-            seen = look()
+            seen = looks.look()
         except OperandoError as error:
             notes.append(f"{reason}; the records cannot tell why: {error.message}")
             return None
@@ -216,7 +101,7 @@ def diagnose_levels(
                 levels, seen = True, seen_because(reason)
         if check and seen is not None and not seen.nonlinear and found.effects:
             # What stands for the law at the lowest level leaves the day as it is.
-            seen = on_that_day(seen, found.effects)
+            seen = looks.on_that_day(seen, found.effects)
         found = replace(found, notes=(*found.notes, *notes, *unused)) if notes or unused else found
     if reason is not None and seen is not None and seen.nonlinear:
         return told(seen, (reason,))
@@ -231,29 +116,11 @@ def diagnose_levels(
     if found.verdict in SURE or unused or quiet:
         return found
     try:
-        if progress:
-            progress(f"look at the records: the linear diagnosis is {found.verdict}")
-        seen = look()
+        looks.say(f"look at the records: the linear diagnosis is {found.verdict}")
+        seen = looks.look()
     except OperandoError as error:
         return replace(found, notes=(*found.notes, f"the records were not used: {error.message}"))
     return told(seen) if seen.nonlinear and seen.verdict in SURE else found
-
-
-def spring_and_damper(location: Sequence[Dof], band: tuple[float, float] | None) -> list[Effect]:
-    """What FRFs of one level know a law at a location by, with the sizes that a fit begins at."""
-    kind, place = "coupling" if len(location) == 2 else "ground", ",".join(map(str, location))
-    return [parse_effect(f"{kind}_{part}@{place}", band) for part in ("spring", "damper")]
-
-
-def _says_more(one: RecordsDiagnosis, other: RecordsDiagnosis) -> bool:
-    """Whether one diagnosis says more of level-dependent effects: surely, or with less error on the hold-out set.
-
-    In dB, for what differs between the days counts as noise where it is not known: chi-squares are not of one noise.
-    """
-    if not one.nonlinear or not other.nonlinear:
-        return bool(one.nonlinear)
-    left = [(d.verdict not in SURE, d.ladder[-1]["heldout_error_db"]) for d in (one, other)]
-    return left[0] < left[1]
 
 
 def merged(
@@ -301,15 +168,6 @@ def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun
         left.append(f"{100 * share:.2g} % of the FRFs of {run.name} stay unexplained")
     mean = " with the mean springs and dampers of its level" if seen.nonlinear else ""
     return unknown(f"{'; '.join(left)}{mean}; no more than {100 * EXPLAINED:g} % may")
-
-
-def linear_at(seen: RecordsDiagnosis | RecordsApplied, run: CheckRun) -> list[Effect]:
-    """The effects as FRFs of a run have them: of level-dependent ones the mean spring and damper of records at its level, or of all."""
-    out: list[Effect] = []
-    for effect, rows in zip(seen.effects, seen.equivalents, strict=True):
-        same = [row for row in rows if run.force_n and one_level(row.level, run.force_n)]
-        out += linear_effects(effect, same or rows) if rows else [effect]
-    return out
 
 
 def with_levels(

@@ -13,8 +13,8 @@ from operando.diagnosis.applied import Applied
 from operando.diagnosis.arguments import chosen_run
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
-from operando.diagnosis.from_records import NO_DAY, OF_A_DAY, linear_at, spring_and_damper
 from operando.diagnosis.records import RecordsApplied, apply_to_records
+from operando.diagnosis.records_and_days import NO_DAY, OF_A_DAY, linear_at, spring_and_damper
 from operando.errors import OperandoError
 from operando.results import CheckRun
 from operando.structure.effects import Effect
