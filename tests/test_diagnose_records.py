@@ -262,8 +262,7 @@ def test_where_frfs_do_not_tell_what_differs_it_is_said(monkeypatch):
         "measurement, and there are none",
     )
     for left, known in ((0.031, False), (0.029, True)):
-        applied = SimpleNamespace(discrepancy={"value": left, "std": None}, between=())
-        monkeypatch.setattr(from_records, "apply_effects", lambda *a, applied=applied, **k: applied)
+        monkeypatch.setattr(from_records, "between_beside", lambda *a, left=left, **k: ((), left))
         made = of(frfs("clearance"))
         assert (made.between == ()) == known
         (note,) = made.notes

@@ -37,9 +37,26 @@ def day_of(
     ``options`` are of :func:`operando.diagnosis.by_hand.fitted_to`.
     """
     with one_blas_thread():
-        states, _ = fitted_to(idle, effects, run, progress or (lambda text: None), may_strain=True, **options)
-        state = estimated(states[-1])
+        state = _beside(idle, effects, run, progress, may_strain=True, **options)
         return _Bare(state, replace(state.x, u=np.zeros(0), terms=())).day(idle) if between_rows(state) else None
+
+
+def between_beside(
+    idle: ModalModel, effects: Sequence[Effect], run: CheckRun, progress: Callable[[str], None] | None = None, **options: Any
+) -> tuple[tuple[dict[str, Any], ...], float]:
+    """What differs between the measurements, as ``between`` of ``diagnosis.json``, and the share of the FRFs that stays unexplained.
+
+    By FRFs of a run beside linear effects fitted with it; ``options`` as for :func:`day_of`.
+    """
+    with one_blas_thread():
+        state = _beside(idle, effects, run, progress, **options)
+        return tuple(between_rows(state)), float(state.alpha)
+
+
+def _beside(
+    idle: ModalModel, effects: Sequence[Effect], run: CheckRun, progress: Callable[[str], None] | None = None, **options: Any
+) -> State:
+    return estimated(fitted_to(idle, effects, run, progress or (lambda text: None), **options)[0][-1])
 
 
 def usual_day(idle: ModalModel, between: Mapping[str, float]) -> Day:

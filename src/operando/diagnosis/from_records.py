@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
+from operando.diagnosis.another_day import between_beside
 from operando.diagnosis.at_level import level_picture
-from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, measured_distortion
 from operando.diagnosis.records_and_days import SURE, RecordsAndDays, linear_at
@@ -147,7 +147,7 @@ def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun
     and the mean springs and dampers of that level: with these they are fitted again, beginning at the highest level, up to the first one
     that they explain.
 
-    ``options`` are of :func:`operando.apply_effects`.
+    ``options`` are of :func:`operando.diagnosis.another_day.between_beside`.
     """
 
     def unknown(why: str) -> RecordsDiagnosis:
@@ -158,13 +158,12 @@ def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun
     left = []
     for run in sorted(check, key=lambda run: -(run.force_n or 0.0)):
         try:
-            applied = apply_effects(idle, linear_at(seen, run), check=run, **options)
+            between, share = between_beside(idle, linear_at(seen, run), run, **options)
         except OperandoError as error:
             left.append(f"{run.name}: {error.message}")
             continue
-        share = float((applied.discrepancy or {}).get("value") or 0.0)
         if share <= EXPLAINED:
-            return replace(seen, between=applied.between, notes=seen.notes if applied.between else (*seen.notes, UNTOUCHED))
+            return replace(seen, between=between, notes=seen.notes if between else (*seen.notes, UNTOUCHED))
         left.append(f"{100 * share:.2g} % of the FRFs of {run.name} stay unexplained")
     mean = " with the mean springs and dampers of its level" if seen.nonlinear else ""
     return unknown(f"{'; '.join(left)}{mean}; no more than {100 * EXPLAINED:g} % may")
