@@ -95,6 +95,24 @@ def test_ctrl_c_keeps_finished_stages(path, tmp_path):
     assert "frf      unchanged" in done.stderr
 
 
+@pytest.mark.skipif(os.name == "nt", reason="needs a POSIX shell")
+@pytest.mark.parametrize(
+    ("streams", "status", "answered"),
+    [("2>&-", 0, True), ("<&-", 0, True), (">&- 2>&-", 0, False), ("2>/dev/full", 0, True), (">/dev/full", 1, False)],
+)
+def test_a_stream_that_is_closed_or_full_ends_no_run(streams, status, answered, path, tmp_path):
+    if "/dev/full" in streams and not os.path.exists("/dev/full"):
+        pytest.skip("there is no /dev/full")
+    command = f'"$0" -m operando frf "$1" -o "$2" --json {streams}'
+    done = subprocess.run(["sh", "-c", command, sys.executable, path, tmp_path / "out"], capture_output=True, text=True)
+    assert done.returncode == status, done.stderr
+    assert (tmp_path / "out/idle_frf.uff").exists()
+    assert (json.loads(done.stdout)["schema"] == "operando/summary/1") if answered else not done.stdout
+    assert "Traceback" not in done.stderr
+    if status:
+        assert done.stderr.endswith("operando: the answer cannot be written to stdout: No space left on device\n")
+
+
 def test_example_is_there():
     folder = example_folder()
     test = load_test(folder)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -87,6 +88,7 @@ class LazyGroup(click.Group):
         """Run; with --json, wrong usage is answered by a JSON document too (exit code 2)."""
         if not kwargs.get("standalone_mode", True):
             return super().main(*args, **kwargs)
+        _open_closed_streams()
         given = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
         try:
             code = super().main(*args, **{**kwargs, "standalone_mode": False})
@@ -108,7 +110,17 @@ class LazyGroup(click.Group):
         except BrokenPipeError:
             sys.stdout = None
             sys.exit(1)
+        except OSError as error:  # all others are explained where they occur
+            click.echo(f"operando: the answer cannot be written to stdout: {error.strerror}", err=True)
+            sys.exit(1)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _open_closed_streams() -> None:
+    """Give a standard stream that is closed the null device: else the next file opened takes its number, and what is printed."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _show(error: click.ClickException) -> None:

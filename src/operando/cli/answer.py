@@ -171,8 +171,12 @@ def _short_warning(message: Warning | str, category: type[Warning], filename: st
 
 
 def say(text: str, err: bool = True) -> None:
-    """Text on stderr or stdout; what a file put into it cannot act on the terminal."""
-    click.echo(printable(text, lines=True), err=err)
+    """Text on stderr or stdout; what a file put into it cannot act on the terminal. A stderr that takes nothing ends no work."""
+    try:
+        click.echo(printable(text, lines=True), err=err)
+    except OSError as error:
+        if not err or isinstance(error, BrokenPipeError):
+            raise
 
 
 def table(rows: Iterable[Sequence[object]], head: Sequence[str]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
 
 from operando.data import Finding
@@ -15,7 +17,7 @@ def inspect_files(work: Work) -> dict[str, Any]:
     work.inputs.check_names()
     work.inputs.check_hits(inventory)
     geometry = work.inputs.geometry()
-    findings = [*work.inputs.all_findings(), *work.inputs.check_geometry(geometry)]
+    findings = [*work.inputs.all_findings(), *_same_data(inventory), *work.inputs.check_geometry(geometry)]
     if unread := work.inputs.unread():
         state = work.test.states[unread[0]]
         first = work.inputs.findings[state.files[0]][0]
@@ -29,3 +31,27 @@ def inspect_files(work: Work) -> dict[str, Any]:
             )
         )
     return {"inventory": inventory, "raw": work.inputs.raw, "geometry": geometry, "findings": findings}
+
+
+def _same_data(inventory: Sequence[dict[str, Any]]) -> list[Finding]:
+    """Files (or overlapping parts of one) of the same content that stand for two measurements; operating and check may share theirs."""
+    uses: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+    for row in inventory:
+        for state in row["used_for"].split(", "):
+            uses.setdefault(row["sha256"], []).append((state, row))
+    out = []
+    for (one, a), (other, b) in (pair for same in uses.values() for pair in combinations(same, 2)):
+        ends = [float("inf") if row.get("stop_s") is None else row["stop_s"] for row in (a, b)]
+        if max(row.get("start_s") or 0.0 for row in (a, b)) >= min(ends) or "geometry" in (one, other):
+            continue
+        file = b["file"]
+        if one == other:
+            consequence = "they count as two measurements: too many averages, intervals too narrow"
+            message, action = f"holds the same data as {a['file']}", "take one of them out of the test file"
+            out.append(Finding("same_data", message, "warning", file=file, consequence=consequence, action=action))
+        elif "idle" in (one, other):
+            message = f"the data of [{other}] are those of [{one}]" + ("" if a is b else f" in {a['file']}")
+            consequence = "one measurement is compared with itself: that nothing differs says nothing of operation"
+            action = "name in each section the files measured in that state"
+            out.append(Finding("same_data", message, "error", file=file, consequence=consequence, action=action))
+    return out
