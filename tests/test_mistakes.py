@@ -134,6 +134,7 @@ MISTAKES = {
         r"section\.toml, line 12, \[anlysis\]",
         "did you mean 'analysis'",
     ),
+    "results folder without a name": (["run", "test.toml", "-o", ""], 1, "results go into a folder, not ''", "^$", "pathlib"),
     "misspelt command": (["inspct", "idle/run1.uff"], 2, "there is no command 'inspct'", "command line", "did you mean 'inspect'"),
     "misspelt stage": (["run", "test.toml", "--until", "emma"], 2, "'emma' is no stage.*did you mean 'ema'", "command line", "Usage"),
     "--set without a value": (asked("analysis.band"), 1, "'analysis.band' names no entry", "--set", "SECTION.KEY=VALUE"),
@@ -352,6 +353,36 @@ def test_a_dof_twice_in_one_set_up_is_a_finding(home, monkeypatch, tmp_path):
     assert "[channels]" in found["action"]
 
 
+def test_results_that_lack_what_a_command_needs_say_why(tmp_path):
+    results = Results("chain", left_out={"ofrf": "the test has no [operating] records", "diagnose": "failed: no lines"})
+    (tmp_path / "of may").mkdir()
+    save_results(results, tmp_path / "of may/model.h5")
+    for command, said in (("ofrf", "there are no operational FRFs: the test has no [operating] records"), ("diagnose", "failed: no lines")):
+        done = CliRunner().invoke(main, [command, str(tmp_path / "of may"), "--json"])
+        document = json.loads(done.stdout)
+        assert (done.exit_code, document["hint"]) == (1, "once that is mended, run the test again")
+        assert document["error"].endswith(said)
+    done = CliRunner().invoke(main, ["compare", str(tmp_path / "of may"), "x.uff", "--route", "effect", "--json"])
+    assert json.loads(done.stdout)["error"] == "there is no model with accepted effects: failed: no lines"
+    save_results(Results("chain"), tmp_path / "of may/model.h5")
+    done = CliRunner().invoke(main, ["diagnose", str(tmp_path / "of may"), "--json"])
+    assert json.loads(done.stdout)["hint"] == f"`operando run test.toml -o '{tmp_path}/of may' --until diagnose` makes it"
+
+
+def test_a_run_says_whose_results_it_replaces(home, monkeypatch, tmp_path):
+    monkeypatch.chdir(home)
+    for name, said in (("test.toml", False), ("test.toml", False), ("only_idle.toml", True), ("only_idle.toml", False)):
+        done = CliRunner().invoke(main, ["run", name, "-o", str(tmp_path), "--until", "inspect"])
+        assert done.exit_code == 0
+        assert (f"the kept results here are of {home / 'test.toml'}; they are replaced" in done.stderr) is said
+
+
+def test_the_command_that_init_names_can_be_pasted(home, monkeypatch, tmp_path):
+    monkeypatch.chdir(home)
+    done = CliRunner().invoke(main, ["init", "idle", "-o", str(tmp_path / "of may.toml")])
+    assert done.stdout.splitlines()[-1] == f"Next: operando run '{tmp_path}/of may.toml'"
+
+
 def test_a_check_of_another_rate_is_a_finding(home, monkeypatch, tmp_path):
     words = ["run", "test.toml", "-o", str(tmp_path), "--until", "inspect", "--set", 'check.records=["slow.uff"]']
     status, document = answer(home, monkeypatch, *words, "--set", "analysis.band=[10,60]")
@@ -361,6 +392,26 @@ def test_a_check_of_another_rate_is_a_finding(home, monkeypatch, tmp_path):
     assert "[idle] 256 Hz, [operating] 256 Hz, [check] 128 Hz" in found["message"]
     status, document = answer(home, monkeypatch, *words)
     assert (status, document["error"]) == (1, "90 Hz is beyond 64 Hz, half its sampling rate (slow.uff)")
+
+
+@pytest.mark.parametrize(
+    ("changes", "severity", "said"),
+    [
+        (["check.records='idle/*.uff'"], "error", "the data of [check] are those of [idle]"),
+        (["operating.records='idle/*.uff'"], "error", "the data of [operating] are those of [idle]"),
+        (["check.records='copy.uff'"], "error", "the data of [check] are those of [idle] in idle/run1.uff"),
+        (["idle.records=['idle/*.uff', 'copy.uff']"], "warning", "holds the same data as idle/run1.uff"),
+        (["check.records='operating/*.uff'"], None, ""),
+        (["idle.records=[{file='copy.uff',stop_s=2}]", "check.records=[{file='copy.uff',start_s=2}]"], None, ""),
+    ],
+)
+def test_data_that_stand_for_two_measurements_are_a_finding(changes, severity, said, home, monkeypatch, tmp_path):
+    (home / "copy.uff").write_bytes((home / "idle/run1.uff").read_bytes())
+    words = [word for change in changes for word in ("--set", change)]
+    status, document = answer(home, monkeypatch, "run", "test.toml", "-o", str(tmp_path), "--until", "inspect", *words)
+    found = [(f["severity"], f["message"]) for f in document["findings"] if f["kind"] == "same_data"]
+    assert status == 0
+    assert found == ([] if severity is None else [(severity, said)])
 
 
 def test_some_nodes_without_a_position_are_a_finding(home, monkeypatch, tmp_path):

@@ -11,9 +11,9 @@ from operando.errors import ObjectError
 
 
 def path_of(value: object, what: str, hint: str = "give a text or a pathlib.Path") -> Path:
-    """A path, or an error that says what needs one."""
-    if not isinstance(value, str | os.PathLike):
-        found = "a module" if isinstance(value, ModuleType) else type(value).__name__
+    """A path, or an error that says what needs one; an empty text is none (pathlib would take it for the current folder)."""
+    if not isinstance(value, str | os.PathLike) or not os.fspath(value):
+        found = "a module" if isinstance(value, ModuleType) else repr(value) if value == "" else type(value).__name__
         raise ObjectError(f"{what}, not {found}", hint=hint)
     return Path(os.fsdecode(value))
 

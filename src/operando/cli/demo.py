@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from operando.cli.answer import Answer, answers, verbosity
 from operando.cli.summary import run_answer
-from operando.cli.test_file import read_test, test_options
+from operando.cli.test_file import read_test, results_folder, test_options
 from operando.paths import example_folder
 
 
@@ -21,4 +19,4 @@ def demo(output: str, changes: tuple[str, ...], second_opinion: bool, show: bool
     test = read_test(example_folder() / "test.toml", changes, second_opinion)
     if verbosity() >= 0:
         click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)
-    return run_answer(test, Path(output), show=show)
+    return run_answer(test, results_folder(test.name, output), show=show)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from operando.cli.answer import Answer, answers, own_option, table
+from operando.cli.sources import not_made
 from operando.cli.summary import open_report, run_to
 from operando.cli.test_file import need_stage, open_option, output_option, read_test, results_folder, set_option
 
@@ -28,7 +29,6 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...], show: bo
 
     A results folder shows its diagnosis; a test file is run up to this stage first.
     """
-    from operando.errors import MissingError
     from operando.store import load_results
 
     path = folder = Path(source)
@@ -44,12 +44,7 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...], show: bo
     else:
         results = load_results(source, only=("name", "diagnosis", "left_out"))
     if results.diagnosis is None:
-        from operando.pipeline.folder import source_of
-
-        reason = results.left_out.get("diagnose", "the run ended before it")
-        test_file = source_of(path) or "test.toml"
-        hint = f"`operando run {test_file} -o {source}` makes it" if path.is_dir() else "run the test to the stage diagnose"
-        raise MissingError(f"there is no diagnosis: {reason}", where=source, hint=hint)
+        raise not_made("there is no diagnosis", "diagnose", results, str(folder))
     if show:
         open_report((folder.parent if folder.is_file() else folder) / "report.html")
     return Answer(results.diagnosis, text_of(results.name, results.diagnosis))

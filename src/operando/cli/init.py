@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -33,6 +34,7 @@ def init(folder: str, output: str | None, force: bool) -> Answer:
 def _next(notes: Sequence[str], folder: str, target: Path) -> str:
     """What to do before the test can be run, and the command that runs it."""
     if any("hold FRFs of the same DOFs" in note for note in notes):
-        return f"move each state into a folder of its own (idle, check), remove {target}, then operando init {folder} again"
+        again = shlex.join(["operando", "init", folder])
+        return f"move each state into a folder of its own (idle, check), remove {target}, then {again} again"
     first = f"write what {target} asks for, then " if any("nothing runs without" in note for note in notes) else ""
-    return f"{first}operando run {target}"
+    return first + shlex.join(["operando", "run", str(target)])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from operando.cli.answer import Answer, answers, apart_from_runs, own_option, say, table
+from operando.cli.sources import not_made
 
 if TYPE_CHECKING:
     from operando.data import Frf
@@ -70,7 +71,7 @@ def ofrf(
     from operando.atomic import writing
     from operando.compare import recommended
     from operando.dof import check_dofs
-    from operando.errors import DataError, MissingError
+    from operando.errors import DataError
     from operando.store import load_results
 
     if level is not None and not 0 < level < float("inf"):
@@ -94,9 +95,10 @@ def ofrf(
     if route != "hybrid":
         more = load_results(folder, only=("idle", "effect_idle", "effect_covariance"))
         results = replace(results, idle=more.idle, effect_idle=more.effect_idle, effect_covariance=more.effect_covariance)
+        if route == "effect" and results.diagnosis is None:
+            raise not_made("there is no model with accepted effects", "diagnose", results, folder)
     elif results.hybrid is None:
-        reason = results.left_out.get("ofrf", "the run ended before it")
-        raise MissingError(f"there are no operational FRFs: {reason}", where=folder, hint="run `operando run test.toml` to the stage ofrf")
+        raise not_made("there are no operational FRFs", "ofrf", results, folder)
     if lines is None:
         from operando.pipeline.outputs import ofrf_lines
 
@@ -117,10 +119,11 @@ def ofrf(
 
         model = LevelModel.of(results, level, values)
         method, own = f"idle model + {', '.join(str(e) for e in model.effects) or 'no effect'} at {level:g} N", ()
-        why = "\n".join((*(() if why is None else (why,)), f"note: {model.words}"))
+        if any(effect.definition.level_dependent for effect in model.effects):
+            why = "\n".join((*(() if why is None else (why,)), f"note: {model.words}"))
     elif route == "idle":
         if results.idle is None:
-            raise MissingError("there is no idle model", where=folder, hint="run `operando run test.toml` to the stage ema")
+            raise not_made("there is no idle model", "ema", results, folder)
         model, method, own = results.idle, "idle model", ()
     elif route == "effect":
         from operando.diagnosis.stored import effect_model

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,8 @@ def load_model(path: str, route: str | None = None, level: float | None = None) 
         band = None if band is None else (float(band[0]), float(band[1]))
         without = tuple((float(low), float(high)) for low, high in results.settings.get("exclude_bands") or ())
         if route == "effect":
+            if results.diagnosis is None:
+                raise not_made("there is no model with accepted effects", "diagnose", results, path)
             from operando.diagnosis.at_level import LevelModel, following
             from operando.diagnosis.stored import effect_model
             from operando.structure.effects import Effect
@@ -51,10 +54,7 @@ def load_model(path: str, route: str | None = None, level: float | None = None) 
         if results.hybrid is not None and route != "idle":
             return Source(results.hybrid, "operational FRFs by the hybrid route", band, without, _advice(results))
         if route == "hybrid":
-            reason = results.left_out.get("ofrf", "the run ended before it")
-            raise MissingError(
-                f"there are no operational FRFs: {reason}", where=path, hint="run `operando run test.toml` to the stage ofrf"
-            )
+            raise not_made("there are no operational FRFs", "ofrf", results, path)
         if results.idle is not None and results.idle.scaling == "unit_modal_mass" and results.idle.si:
             return Source(results.idle, "idle modes", band, without)
         cause = None if results.idle is None else no_scale(results.idle, results.findings)
@@ -72,6 +72,17 @@ def load_model(path: str, route: str | None = None, level: float | None = None) 
         return Source(scaled[0], "modes of the file (unit modal mass)", scaled[0].band_hz)
     what = "modes of arbitrary scale" if content.models else "no FRFs and no modes"
     raise MissingError(f"holds {what}: nothing that predicts FRFs", where=path, hint="give a results folder, model.h5, or FRFs as UFF 58")
+
+
+def not_made(what: str, stage: str, results: Results, path: str) -> MissingError:
+    """That results lack what a stage makes: why, and what to do."""
+    if stage in results.left_out:
+        return MissingError(f"{what}: {results.left_out[stage]}", where=path, hint="once that is mended, run the test again")
+    from operando.pipeline.folder import source_of
+
+    folder = Path(path) if Path(path).is_dir() else Path(path).parent
+    command = shlex.join(["operando", "run", str(source_of(folder) or "test.toml"), "-o", str(folder), "--until", stage])
+    return MissingError(f"{what}: the run ended before it", where=path, hint=f"`{command}` makes it")
 
 
 def _advice(results: Results) -> str:

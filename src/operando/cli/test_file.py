@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from operando.paths import path_of
+
 if TYPE_CHECKING:
     from operando.config import Test
 
@@ -51,7 +53,7 @@ def need_stage(test: Test, stage: str) -> None:
 def results_folder(name: str, output: str | None) -> Path:
     """The folder named, else ``results/NAME`` in the current one."""
     if output is not None:
-        return Path(output)
+        return path_of(output, "results go into a folder")
     from operando.pipeline.folder import default_folder
 
     return default_folder(name)

@@ -47,7 +47,7 @@ def run_and_tell(
     """
     results_go_to(out)
     with results_folder(out, "run", make=True) as folder:
-        folder.came_from(test.path)
+        folder.came_from(test.path, progress)
         key = key_of_run(test, until, report, str(out))
         kept = _kept(folder, key)
         if kept is not None:

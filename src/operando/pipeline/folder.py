@@ -60,10 +60,13 @@ class ResultsFolder:
             file.unlink(missing_ok=True)
         self._drop_doubles()
 
-    def came_from(self, test: Path | None) -> None:
-        """Keep which test file the results are made from; a test made in Python has none."""
+    def came_from(self, test: Path | None, progress: Callable[[str, str], None] | None = None) -> None:
+        """Keep which test file the results are made from (a test made in Python has none); say whose results they take the place of."""
         found = None if test is None else str(test.resolve())
-        if found != _source(self.hidden):
+        before = _source(self.hidden)
+        if found != before:
+            if progress is not None and before is not None and self.holds_results:
+                progress("inspect", f"the kept results here are of {before}; they are replaced")
             write_json(self.hidden / SOURCE, {"schema": "operando/source/1", "test": found})
 
     @property

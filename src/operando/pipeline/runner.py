@@ -89,7 +89,7 @@ def run(
     out = default_folder(test.name) if out is None else path_of(out, "results go into a folder")
     results_go_to(out)
     with results_folder(out, "run", make=True) as folder:
-        folder.came_from(test.path)
+        folder.came_from(test.path, progress)
         return run_in(folder, test, until, progress, report)[0]
 
 

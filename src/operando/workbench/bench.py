@@ -11,7 +11,7 @@ from typing import Any
 
 from operando.config import text_of
 from operando.errors import BusyError, ConfigError, MissingError, OperandoError
-from operando.paths import example_folder
+from operando.paths import example_folder, path_of
 from operando.pipeline.folder import default_folder, source_of
 from operando.results import Results
 from operando.store import load_results
@@ -66,7 +66,7 @@ class Bench:
             self._open(path / "test.toml" if path.is_dir() else path)
             assert self.draft is not None
             name = self.draft.test.name
-            self.folder = (Path(output) if output is not None else default_folder(name)).resolve()
+            self.folder = (path_of(output, "results go into a folder") if output is not None else default_folder(name)).resolve()
             self._refuse_example()
 
     def _open(self, path: Path) -> None:
