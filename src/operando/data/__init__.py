@@ -6,10 +6,10 @@
 from operando.data.arrays import band_limits as band_limits
 from operando.data.arrays import bands_of as bands_of
 from operando.data.arrays import complex_of as complex_of
+from operando.data.arrays import count_of as count_of
 from operando.data.arrays import frequencies_of as frequencies_of
 from operando.data.arrays import number_of as number_of
 from operando.data.arrays import numbers_of as numbers_of
-from operando.data.arrays import order_of as order_of
 from operando.data.arrays import ordered_band as ordered_band
 from operando.data.arrays import positive_band as positive_band
 from operando.data.axis import FrequencyAxis

@@ -49,10 +49,10 @@ def number_of(value: Any, what: str, hint: str, least: float = -np.inf) -> float
     return float(number)
 
 
-def order_of(value: Any) -> int | None:
-    """The largest order of a stabilisation diagram, a whole number from 1 on; None where it is chosen from the data."""
+def count_of(value: Any, what: str, example: int) -> int | None:
+    """A whole number from 1 on; None where it is chosen from the data."""
     if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-        raise DataError(f"max_order = {value!r:.60} is no order", hint="give a whole number from 1 on, for example 60")
+        raise DataError(f"{what} = {value!r:.60} is no count", hint=f"give a whole number from 1 on, for example {example}")
     return None if value is None else int(value)
 
 

@@ -145,6 +145,9 @@ class Geometry(Noun):
         check_fields(self)
         if self.coordinates.shape != (len(self.nodes), 3):
             raise DataError(f"{len(self.nodes)} nodes but coordinates of shape {self.coordinates.shape}")
+        if not np.all(np.isfinite(self.coordinates)):
+            node = self.nodes[int(np.argmin(np.all(np.isfinite(self.coordinates), axis=1)))]
+            raise DataError(f"the coordinates of node {node} are no finite numbers", hint="leave nodes out whose position is not known")
         if len(set(self.nodes)) != len(self.nodes):
             raise DataError("a node number appears twice in the geometry")
         shown = self.appearance

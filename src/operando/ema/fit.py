@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, TimeRecord, bands_of, expect, frequencies_of, order_of, several
+from operando.data import Finding, Frf, ModalModel, TimeRecord, bands_of, count_of, expect, frequencies_of, several
 from operando.dof import Dof, DofIndex
 from operando.ema.answers import LinearModes, linear_model, linear_modes, polished_model
 from operando.ema.band import analysis_band
@@ -134,7 +134,7 @@ def fit_ema(
     IdentificationError
         If the band holds too few lines, no mode is found, no pole is near a frequency named by hand, or two reach one pole.
     DataError
-        If records and FRFs do not belong together, all FRFs are zero, ``ema`` is unknown or ``max_order`` is no order.
+        If records and FRFs do not belong together, all FRFs are zero, ``ema`` is unknown or ``max_order`` is no count.
 
     Examples
     --------
@@ -148,7 +148,7 @@ def fit_ema(
         expect(automatic, ModalModel, "automatic is the model that other modes are chosen in", "give what fit_ema(frf) returned")
     exact, more = frequencies_of(modes_hz, "modes_hz"), frequencies_of(select_hz, "select_hz")
     less = frequencies_of(reject_hz, "reject_hz")
-    max_order, excluded = order_of(max_order), bands_of(exclude_bands, "exclude_bands")
+    max_order, excluded = count_of(max_order, "max_order", 60), bands_of(exclude_bands, "exclude_bands")
     if records is not None:
         records = several(records, TimeRecord, "the whole records are fitted", "give those the FRFs were estimated from")
     if not isinstance(ema, str) or ema not in ANSWERS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from operando.data import ModalModel, TimeRecord, band_limits, frequencies_of, order_of, several
+from operando.data import ModalModel, TimeRecord, band_limits, count_of, frequencies_of, several
 from operando.errors import ConfigError
 from operando.oma.band import BandChoice, default_band
 from operando.oma.setups import fit_setups, group_setups
@@ -102,6 +102,7 @@ def fit_oma(
         raise ConfigError(f"method {method!r} is none of {', '.join(METHODS)}")
     if weighting not in WEIGHTINGS:
         raise ConfigError(f"weighting {weighting!r} is none of {', '.join(WEIGHTINGS)}")
+    block_rows = count_of(block_rows, "block_rows", 60)
     setups = group_setups(several(record, TimeRecord, "operational modes come from time records", "read(file).records holds them"))
     records = [r for group in setups for r in group]
     with one_blas_thread():
@@ -113,7 +114,7 @@ def fit_oma(
         options = Options(
             choice.band,
             choice.text,
-            order_of(max_order),
+            count_of(max_order, "max_order", 60),
             references,
             frequencies_of(known_harmonics_hz, "known_harmonics_hz"),
             frequencies_of(select_hz, "select_hz"),

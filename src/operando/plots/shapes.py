@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Geometry, ModalModel, direction_of, expect
+from operando.data import Geometry, ModalModel, count_of, direction_of, expect
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.plots.mesh import Mesh, patches
@@ -152,7 +152,7 @@ def animate_shape(
     Raises
     ------
     DataError, ObjectError
-        As for :func:`plot_shape`; also without a geometry.
+        As for :func:`plot_shape`; also without a geometry or without a frame.
 
     Examples
     --------
@@ -166,6 +166,7 @@ def animate_shape(
     from matplotlib.animation import FuncAnimation
 
     k = _mode(model, mode)
+    count_of(frames, "frames", 24)
     if geometry is None:
         raise DataError("a shape moves on a geometry", hint="give geometry=read(file).geometry")
     shape = np.asarray(model.shapes[:, k], complex)

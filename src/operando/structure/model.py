@@ -89,7 +89,7 @@ class Model(Short):
         object.__setattr__(self, "discrepancy", share)
         super().__post_init__()
         if self.idle.scaling != "unit_modal_mass":
-            raise DataError("effects need an idle model of unit modal mass", hint="give units to the EMA, so that shapes can be scaled")
+            raise DataError("effects need an idle model of unit modal mass", hint="give the EMA the units, and a response at a force")
         size = sum(len(e.definition.parameters) for e in self.effects)
         allowed = ((size, size), (size + self.idle.n_parameters,) * 2)
         if self.covariance is not None and np.shape(self.covariance) not in allowed:
