@@ -51,6 +51,7 @@ MOVED = operando.TimeRecord(NOISE, 256.0, BOTH)
         (lambda: operando.fit_oma(MOVED, band=(5, 100), block_rows=-1), "block_rows = -1 is no count"),
         (lambda: operando.fit_oma(MOVED, band=(5, 100), block_rows=0), "block_rows = 0 is no count"),
         (lambda: IDLE.animate(0, operando.Geometry((1, 2), np.eye(2, 3)), frames=0), "frames = 0 is no count"),
+        (lambda: operando.ModalModel([20.0], [0.01], [[1.0], [1.0]], "1+Z, 1-Z"), "DOF 1-Z appears twice (in either sense)"),
         (lambda: operando.Geometry((1, 7), [[0, 0, 0], [0, np.nan, 0]]), "the coordinates of node 7 are no finite numbers"),
         (lambda: operando.fit_oma(MOVED, band=(5, 100), known_harmonics_hz="24.6 Hz"), "known_harmonics_hz '24.6 Hz': no numbers"),
         (lambda: operando.fit_oma(MOVED, band=(5, 100), known_harmonics_hz=[np.nan]), "expected a list of positive frequencies"),

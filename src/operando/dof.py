@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import total_ordering
 
-from operando.errors import DofError
+from operando.errors import DataError, DofError
 
 AXES = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 """Axis names in the order of the UFF direction codes 0 to 6."""
@@ -357,3 +357,12 @@ def check_dofs(wanted: tuple[Dof, ...], known: tuple[Dof, ...], where: str) -> N
         match_dofs(wanted, known)
     except DofError as error:
         raise DofError(error.message, where=where, hint=error.hint) from None
+
+
+def refuse_twice(dofs: Iterable[Dof], what: str) -> None:
+    """Labels of an array name each DOF once: a DataError if one appears twice, in either sense."""
+    seen = set()
+    for dof in dofs:
+        if dof.key in seen:
+            raise DataError(f"{what} {dof} appears twice (in either sense)", hint="give each its own DOF; in a test file by [channels]")
+        seen.add(dof.key)

@@ -16,7 +16,7 @@ from operando.data.findings import Finding
 from operando.data.objects import Noun, common_name, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, RECIPROCALS, quantity_named, unit_of
-from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
+from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs, refuse_twice
 from operando.errors import DataError
 
 if TYPE_CHECKING:
@@ -107,13 +107,8 @@ class Frf(Noun):
                 raise DataError(f"setups has shape {self.setups.shape}, expected {expected[:2]}")
         object.__setattr__(self, "quantity", quantity_named(self.quantity, reciprocals=False))
         check_fields(self)
-        for label, dofs in (("response", self.responses), ("reference", self.references)):
-            seen = set()
-            for d in dofs:
-                if d.key in seen:
-                    hint = "give each its own DOF; in a test file by [channels]"
-                    raise DataError(f"{label} DOF {d} appears twice (in either sense)", hint=hint)
-                seen.add(d.key)
+        refuse_twice(self.responses, "response DOF")
+        refuse_twice(self.references, "reference DOF")
 
     def _check_beside(self, name: str, expected: tuple[int, ...]) -> None:
         """Refuse a variance or coherence of another shape, or with values that none can have."""

@@ -24,7 +24,7 @@ from operando.data.provenance import Provenance
 from operando.data.quantities import quantity_named
 from operando.data.receptances import Receptances
 from operando.data.undriven import undriven_variance
-from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
+from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs, refuse_twice
 from operando.errors import DataError
 from operando.synthesis import POWER, synthesis_variance, synthesise
 
@@ -101,6 +101,7 @@ class ModalModel(ModalFigures, Noun):
     def __post_init__(self) -> None:
         put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
         put("dofs", parse_dofs(self.dofs))
+        refuse_twice(self.dofs, "DOF")
         put("findings", listed(self.findings))
         arrays = checked_terms(self.frequencies_hz, self.damping_ratios, self.shapes, "modes", len(self.dofs))
         for name, value in zip(("frequencies_hz", "damping_ratios", "shapes"), arrays, strict=True):
