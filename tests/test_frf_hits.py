@@ -109,11 +109,13 @@ def test_decayed_hits_are_averaged_and_overlapping_ones_use_the_whole_record():
     assert "whole record" in finding.consequence
     assert "lrm" in auto.provenance.calls[-1]
     of_blocks = lambda record, seconds: [  # noqa: E731
-        f.message for f in estimate_frf(record, band=(10, 160), block_seconds=seconds).findings if f.kind == "block_seconds"
+        f.message for f in estimate_frf(record, band=(10, 160), block_seconds=seconds).findings if f.kind == "setting_unused"
     ]
-    assert of_blocks(ringing, 1.0) == ["block_seconds = 1 s is not used: whole records are used, without blocks"]
+    assert of_blocks(ringing, 1.0) == ["not used: block_seconds = 1.0; whole records are used, without blocks"]
+    ignored = [f.message for f in estimate_frf(ringing, overlap=0.3, window="rectangular").findings if f.kind == "setting_unused"]
+    assert ignored == ["not used: overlap = 0.3, window = rectangular; whole records are used, without blocks"]
     assert of_blocks(damped, 6.0) == [
-        "block_seconds = 6 s is not used: blocks are 3.5 s long, the time to the next hit or the end of the record"
+        "not used: block_seconds = 6; blocks are 3.5 s long, the time to the next hit or the end of the record"
     ]
     assert of_blocks(damped, 2.0) == of_blocks(ringing, None) == []
     exact = sampled_accelerance(light, auto.frequencies_hz, FS, range(4), [0])

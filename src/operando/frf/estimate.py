@@ -146,6 +146,7 @@ def estimate_frf(
                 f"no run excites reference {', '.join(missing)}", hint="excited: " + ", ".join(dict.fromkeys(map(str, excited)))
             )
     automatic = estimator in (None, "auto")
+    of_blocks = {"block_seconds": block_seconds, "overlap": overlap, "window": window}
     if hits_reject and hits == "off":
         raise DataError("hits_reject names hits, and hits is off", hint='set hits to "auto" or "all"')
     with one_blas_thread():
@@ -155,7 +156,7 @@ def estimate_frf(
         if estimator == "periodic" or (automatic and block_seconds is None):
             periodic = _periodic(cut, band, window_lines, estimator == "periodic")
             if periodic is not None:
-                return _finished(merge_runs(periodic, wanted), [*lost, *_other_blocks(block_seconds, None)])
+                return _finished(merge_runs(periodic, wanted), [*lost, *_without_blocks(of_blocks)])
         if estimator != "lrm" and hits != "off":
             cut = _cut_hits(cut, block_seconds, band, hits == "auto", lost)
         averaged: list[tuple[_Cut, RunEstimate]] = []
@@ -179,11 +180,11 @@ def estimate_frf(
             lines, peak = choose_lines([c[0] for c in cut if usable(c[0])] or runs, band, line_spacing_hz, max_lines, window_lines)
             whole = _survivors(lambda c: rational_run(c[0], lines, window_lines, c[2]), cut, _name, lost)
             estimates = [replace(e, findings=(*e.findings, *_hit_findings(c, True))) for c, e in whole]
-            extra = [_estimator_finding(reason, peak, lines), *_other_blocks(block_seconds, None)]
+            extra = [_estimator_finding(reason, peak, lines), *_without_blocks(of_blocks)]
         else:
             estimates = [replace(e, findings=(*e.findings, *_hit_findings(c, False, e.exponential_window_rate))) for c, e in averaged]
             estimates = average_hits(estimates)
-            extra = [*few_averages(estimates), *_other_blocks(block_seconds, length)]
+            extra = [*few_averages(estimates), *_shorter_than_asked(block_seconds, length)]
         estimates, unexcited = within_excited(estimates)
         return _finished(merge_runs(estimates, wanted), [*lost, *extra, *unexcited])
 
@@ -393,17 +394,22 @@ def _shorter_blocks(
     return [(cut, averaged_run(cut[0], cut[1], shorter, *options)) for cut, _ in averaged]
 
 
-def _other_blocks(asked: float | None, used: float | None) -> list[Finding]:
-    """Says that the block length asked for is not that of the estimate: there are no blocks (None), or hits follow each other sooner."""
-    if asked is None or (used is not None and used > 0.99 * asked):  # a block is a whole number of samples
+def _without_blocks(settings: dict[str, float | str | None]) -> list[Finding]:
+    """Says which settings of blocks are given and not used, because whole records are."""
+    given = ", ".join(f"{name} = {value}" for name, value in settings.items() if value is not None)
+    message = f"not used: {given}; whole records are used, without blocks"
+    action = "give an estimator that averages over blocks, as h1: it may leak"
+    consequence = "spacing of the lines, averages and variance are not those of such blocks"
+    return [Finding("setting_unused", message, "warning", consequence=consequence, action=action)] if given else []
+
+
+def _shorter_than_asked(asked: float | None, used: float) -> list[Finding]:
+    """Says that blocks are not as long as asked for, because hits follow each other sooner."""
+    if asked is None or used > 0.99 * asked:  # a block is a whole number of samples
         return []
-    if used is None:
-        why, action = "whole records are used, without blocks", "give an estimator that averages over blocks, as h1: it may leak"
-        consequence = "spacing of the lines, averages and variance are not those of such blocks"
-    else:
-        why, action = f"blocks are {used:.3g} s long, the time to the next hit or the end of the record", "wait longer after each hit"
-        consequence = f"lines {1 / used:.3g} Hz apart instead of {1 / asked:.3g} Hz"
-    return [Finding("block_seconds", f"block_seconds = {asked:g} s is not used: {why}", "warning", consequence=consequence, action=action)]
+    message = f"not used: block_seconds = {asked:g}; blocks are {used:.3g} s long, the time to the next hit or the end of the record"
+    consequence = f"lines {1 / used:.3g} Hz apart instead of {1 / asked:.3g} Hz"
+    return [Finding("setting_unused", message, "warning", consequence=consequence, action="wait longer after each hit")]
 
 
 def _estimator_finding(reason: str, peak: Peak | None, lines: np.ndarray) -> Finding:
