@@ -56,6 +56,10 @@ def test_ofrf_defaults_and_files(folder, tmp_path):
     made = read(tmp_path / "all.uff").frfs[0]
     assert made.data.shape == (4, 4, 381)
     np.testing.assert_allclose(made.frequencies_hz, models.results().idle_frf.frequencies_hz)
+    for name, lost in (("pair.csv", ["variance of the FRF lines"]), ("pair.mat", ["variance of the FRF lines"]), ("pair.uff", [])):
+        words = ["ofrf", folder, "--responses", "2+Z", "--references", "1+Z", "-o", tmp_path / name]
+        assert answer(*words)["lost"] == lost
+        assert (f"lost in {tmp_path / name}: variance of the FRF lines" in call(*words).stdout) is bool(lost)
     for name in ("pair.h5", "pair.mat", "pair.uff"):
         done = call("ofrf", folder / "model.h5", "--responses", "2+Z", "--references", "1+Z", "-o", tmp_path / name)
         assert done.exit_code == 0, done.output

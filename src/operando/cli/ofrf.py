@@ -72,6 +72,7 @@ def ofrf(
     from operando.compare import recommended
     from operando.dof import check_dofs
     from operando.errors import DataError
+    from operando.io.convert import format_of, losses
     from operando.store import load_results
 
     if level is not None and not 0 < level < float("inf"):
@@ -152,14 +153,16 @@ def ofrf(
     if output is not None:
         with writing(output):
             Path(output).parent.mkdir(parents=True, exist_ok=True)
-        with warnings.catch_warnings(action="ignore"):  # of findings and provenance: the answer has them
+        with warnings.catch_warnings(action="ignore"):  # the answer says the same
             frf.save(output)
+        # findings and provenance stand in the answer itself
+        document["lost"] = [text for text in losses(frf, format_of(output)) if text != "findings and provenance"]
     elif frf.data.size > MOST_VALUES:
         raise DataError(f"{frf.data.size} values are too many to print", hint="name a file with -o, or ask for fewer pairs or lines")
     else:
         data = np.stack([frf.data.real, frf.data.imag], axis=-1)
         document |= {"frequencies_hz": frf.frequencies_hz, "data": data, "std": None if frf.variance is None else np.sqrt(frf.variance)}
-    text = _text(frf, method, output)
+    text = "\n".join((_text(frf, method, output), *(f"lost in {output}: {lost}" for lost in document.get("lost", ()))))
     return Answer(document, text if why is None else f"{text}\n{why}")
 
 
