@@ -586,6 +586,9 @@ def test_a_hammer_test_has_its_own_answer_without_empty_columns(whole):
     assert any("18 samples at full scale" in t for t in head.limits), "what is wrong with the data limits the answer"
     assert head.grade == "fair"
     assert headline(replace_results(results, findings=[])).grade == "good"
+    beside = replace_results(results, idle=replace(whole.idle, in_band=np.arange(whole.idle.n_modes) > 0))
+    assert headline(beside).verdict == "11 idle modes in 8–140 Hz"
+    assert f"Frequencies from {whole.idle.frequencies_hz[1]:.4g} " in headline(beside).sentences[0]
     assert "no [operating] in the test" in head.sentences[-1]
     assert {f"#{name}" for name in ("operating", "scaling", "ofrf", "diagnosis", "missing")}.isdisjoint(page.targets)
     answer = text[text.index('id="answer"') : text.index('id="data"')]

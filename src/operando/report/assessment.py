@@ -211,13 +211,14 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
     """The answer of a test of one state: its modes, how well they fit, and what the other state would add."""
     ema = results.idle is not None
     model: Any = results.idle if ema else results.operating
-    f, z = model.frequencies_hz, 100 * model.damping_ratios
-    verdict = f"{count(model.n_modes, 'idle mode' if ema else 'operational mode')} in {band_text(analysis_band(results))}"
+    inside = model.in_band
+    f, z = model.frequencies_hz[inside], 100 * model.damping_ratios[inside]
+    verdict = f"{count(f.size, 'idle mode' if ema else 'operational mode')} in {band_text(analysis_band(results))}"
     sentences = []
-    if model.n_modes:
+    if f.size:
         text = f"Frequencies from {number(f.min(), 4)} to {number(f.max(), 4)} Hz, damping ratios from {number(z.min(), 2)} to "
         sentences.append(text + f"{number(z.max(), 2)} %.")
-    good = model.n_modes > 0
+    good = f.size > 0
     if ema and finite(model.misfit):
         good &= float(model.misfit) < 2
         sentences.append(f"On hold-out lines the reduced chi-square is {number(model.misfit, 3)}; 1 = as good as the noise allows.")
