@@ -16,6 +16,7 @@ from operando.ema.polish import polish, start_parameters
 from operando.ema.polish_model import run_model, transfer
 from operando.ema.spectra import excited_limits, noise_from_spectra, record_spectra
 from operando.errors import DataError, IdentificationError
+from operando.indicators import mac
 from structures import Chain
 
 FS = 512.0
@@ -140,12 +141,15 @@ def test_inverted_force_is_turned_and_said(fitted):
 
 
 def test_without_units_or_drive_point_nothing_is_scaled(fitted):
-    _, _, frf, _ = fitted
+    chain, _, frf, _ = fitted
     no_units = fit_ema(replace(frf, si=False), band=(10, 140))
     assert no_units.scaling == "unscaled"
     assert any(f.kind == "missing_unit" for f in no_units.findings)
-    no_drive = fit_ema(frf.select(responses=["2+Z", "3+Z", "5+Z", "6+Z"]), band=(10, 140))
+    no_drive = fit_ema(frf.select(responses=["2+Z", "3+Z", "5+Z", "6+Z"]), band=(10, 140), ema="polished")
     assert no_drive.scaling == "unscaled"
+    assert no_drive.details.answer == "polished"
+    assert [str(d) for d in no_drive.dofs] == ["2+Z", "3+Z", "5+Z", "6+Z"]
+    assert np.min(np.max(mac(no_drive.shapes, chain.phi[[1, 2, 4, 5]]), axis=0)) > 0.9999
     assert any(f.kind == "missing_drive_point" for f in no_drive.findings)
     with pytest.raises(DataError, match="arbitrary scale"):
         no_drive.frf([20.0])

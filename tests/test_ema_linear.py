@@ -18,6 +18,7 @@ from operando.ema.pairs import frf_pairs, informative_lines, noise_shape
 from operando.ema.projection import CURVED_MOST, PEAK_MOST, Poles, project, shift_curvature
 from operando.ema.unit_mass import SEEN, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
+from operando.indicators import mac
 from structures import Chain
 
 HZ = np.array([22.0, 41.0, 63.0, 68.0, 90.0, 118.0])
@@ -380,11 +381,25 @@ def test_pairs_that_were_not_measured_are_left_out():
     assert_modes(fit_ema(as_frf(h), band=BAND), c)
 
 
-def test_no_drive_point_gives_no_scale():
-    _, h = frfs(references=(0,))
-    model = fit_ema(Frf(h[1:], F, DOFS[1:], DOFS[:1]), band=BAND)
+@pytest.mark.parametrize("roving", ["accelerometer", "hammer"])
+def test_no_drive_point_gives_no_scale(roving):
+    """Nor does it tie the value at the force to those of the responses: the model is without it (a roving hammer: the accelerometer)."""
+    c, h = frfs(references=(0,))
+    frf = Frf(h[1:], F, DOFS[1:], DOFS[:1])
+    if roving == "hammer":
+        frf = Frf(h[1:].swapaxes(0, 1), F, DOFS[:1], DOFS[1:])
+    model = fit_ema(frf, band=BAND)
     assert model.scaling == "unscaled"
     assert "missing_drive_point" in kinds(model)
+    assert model.dofs == frf.responses if roving == "accelerometer" else frf.references
+    by_hand = fit_ema(frf, band=BAND, modes_hz=model.frequencies_hz[1:], automatic=model)
+    found = {round(f): j for j, f in enumerate(c.hz)}
+    for made in (model, by_hand):
+        truth = c.phi[1:, [found[round(f)] for f in made.frequencies_hz]]
+        assert np.min(np.diag(mac(made.shapes, truth))) > 0.9999
+        assert np.all(made.shapes[np.argmax(np.abs(made.shapes), axis=0), np.arange(made.n_modes)] > 0)
+        assert made.shape_std.shape == made.shapes.shape
+    assert model.details.misfit_by_dof.shape == (len(model.dofs),)
 
 
 def test_a_drive_point_is_absent_below_three_deviations():

@@ -20,7 +20,7 @@ from operando.ema.polished import PolishedAnswer
 from operando.ema.projection import basis, tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
-from operando.ema.unit_mass import ModalCovariance, UnitMassShapes
+from operando.ema.unit_mass import ModalCovariance, UnitMassShapes, kept_parameters, tied_rows
 from operando.synthesis import combined, real_inner
 
 FREQUENCY_FLOOR = 1e-6
@@ -116,7 +116,8 @@ def _assemble(
     """The model: modes (each with its largest shape value positive), poles that are no modes, and terms for what lies outside."""
     hz, zeta = poles
     m, n = shapes.shape
-    sign = np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(n)])
+    tied = tied_rows(frf)
+    sign = np.sign(shapes[tied][np.argmax(np.abs(shapes[tied]), axis=0), np.arange(n)])
     sign[sign == 0] = 1
     units = np.concatenate([np.ones(2 * n), np.repeat(sign, m)])
     floor = floor_variance(hz, zeta, shapes)
@@ -140,15 +141,16 @@ def _assemble(
     whole[np.ix_(rest, rest)] = outside.covariance
     in_band = (hz >= band[0]) & (hz <= band[1]) & ~residual
     p = outside.hz.size
+    kept = kept_parameters(total, m, tied)
     return ModalModel.from_terms(
         np.concatenate([hz, outside.hz]),
         np.concatenate([zeta, outside.zeta]),
-        np.concatenate([shapes * sign, outside.shapes], axis=1),
-        dofs,
+        np.concatenate([shapes * sign, outside.shapes], axis=1)[tied],
+        dofs[tied],
         "unit_modal_mass" if scaled else "unscaled",
         residual=np.concatenate([residual, np.ones(p, bool)]),
         in_band=np.concatenate([in_band, np.zeros(p, bool)]),
-        covariance=whole,
+        covariance=whole if kept.size == len(whole) else whole[np.ix_(kept, kept)],
         band_hz=band,
         misfit=None if not np.isfinite(misfit) else float(misfit),
         si=frf.si,

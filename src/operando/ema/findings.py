@@ -104,7 +104,8 @@ def fit_findings(frf: Frf, band: tuple[float, float], drive: DriveResidues) -> l
                 "missing_drive_point",
                 "no reference has a response on its own DOF",
                 "error",
-                consequence="the shapes keep an arbitrary scale: no unit modal mass, no FRF of undriven pairs, no operational FRF",
+                consequence="the shapes keep an arbitrary scale, at the responses alone (at the references, if there are more of these): "
+                "no unit modal mass, no FRF of the model, no operational FRF",
                 action="measure the response at one of the references",
             )
         )

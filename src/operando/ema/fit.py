@@ -34,7 +34,7 @@ from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines, with_v
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
 from operando.ema.spectra import RunSpectra, whole_records
-from operando.ema.unit_mass import UnitMassShapes, turned_dofs, unit_mass_shapes
+from operando.ema.unit_mass import UnitMassShapes, tied_rows, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.limits import LOWER, UPPER
 from operando.stabilization import RejectedPole, Stabilization
@@ -311,7 +311,7 @@ def _polished(
         tuple(answer.log.rejected),
         (*log.rounds, *answer.log.rounds),
         fit_band,
-        answer.misfit_by_row,
+        answer.misfit_by_row[tied_rows(job.frf)],
         answer.fit.cost / answer.fit.n_data,
         answer.fit.converged,
         answer.lower,
@@ -350,7 +350,7 @@ def _linear(
         (*doubtful, *log.rejected),
         tuple(log.rounds),
         fit.ends_hz,
-        np.full(len(job.dofs), np.nan) if left is None else left.by_row,
+        (np.full(len(job.dofs), np.nan) if left is None else left.by_row)[tied_rows(job.frf)],
         float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain)),
         converged=True,
         lower_residual=True,
@@ -433,7 +433,7 @@ def _exactly(job: _Job) -> AddModes:
         turned = turned_dofs(fit)
         if turned.size:
             fit = fit.turned(turned)
-        return fit, unit_mass_shapes(fit, len(job.dofs))
+        return fit, unit_mass_shapes(fit, len(job.dofs)).at(tied_rows(job.frf))
 
     return add
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import Frf
 from operando.ema.linear import LinearFit, stated_covariance
 from operando.ema.pairs import Complex, Real
 
@@ -62,6 +63,24 @@ class ModalCovariance:
         return out
 
 
+def tied_rows(frf: Frf) -> slice:
+    """Rows of the shapes (responses, then references that are none) whose proportions the FRFs hold.
+
+    All of them with a drive point. Without one a residue φ_o φ_i says how the responses move among themselves, and the references, and not
+    one against the other: the shape is that of the side with more DOFs.
+    """
+    n = len(frf.responses)
+    if frf.drive_points():
+        return slice(None)
+    return slice(n) if n >= len(frf.references) else slice(n, None)
+
+
+def kept_parameters(n_terms: int, n_dofs: int, rows: slice) -> NDArray[np.int_]:
+    """Where [f, ζ, shapes mode by mode] at some rows of the shapes stand among those of all."""
+    at = 2 * n_terms + np.arange(n_terms * n_dofs).reshape(n_terms, n_dofs)[:, rows]
+    return np.concatenate([np.arange(2 * n_terms), at.ravel()])
+
+
 @dataclass(frozen=True)
 class UnitMassShapes:
     """Shapes (M, n) with R_jk ≈ φ_j φ_k.
@@ -74,6 +93,12 @@ class UnitMassShapes:
     scaled: NDArray[np.bool_]
     drive: tuple[tuple[int, Real], ...]
     covariance: ModalCovariance
+
+    def at(self, rows: slice) -> UnitMassShapes:
+        """The shapes at some of the DOFs, with their covariance."""
+        known, (n, m) = self.covariance, self.covariance.own.shape[:2]
+        carry, own = known.carry[kept_parameters(n, m, rows)], known.own[:, rows, rows]
+        return replace(self, shapes=self.shapes[rows], covariance=ModalCovariance(carry, known.poles, own))
 
 
 def turned_dofs(fit: LinearFit) -> NDArray[np.int_]:
