@@ -11,7 +11,7 @@ from effect_truth import at, chain_and_idle, pole_list, receptance, skew
 from operando.data import Geometry, ModalModel, ResidualTerms
 from operando.diagnosis.by_hand import words_of
 from operando.errors import ConfigError, DataError, DofError
-from operando.structure import Model
+from operando.structure import Model, at_level
 from operando.structure.effects import Effect, catalogue, parse_effect
 
 N = 6
@@ -246,6 +246,18 @@ def test_an_overdamped_mode_is_told_as_real_poles():
     assert np.allclose(modes.poles, truth, rtol=1e-8)
     assert modes.n_modes + modes.details.real_poles.size / 2 == 2
     assert np.all(modes.details.real_poles < 0)
+
+
+@pytest.mark.parametrize("text", ["clearance@2+Z=stiffness:1e5,gap:1e-4", "bilinear_stiffness@2+Z=stiffness:1e5"])
+def test_effects_that_depend_on_the_level_are_said_to_be_left_out(text):
+    _, idle = chain_and_idle()
+    model = Model(idle).add(text).add("ground_spring@1+Z=stiffness:1e4")
+    for made in (model.frf([20.0, 30.0]), model.modes()):
+        (found,) = made.findings
+        assert (found.kind, found.severity) == ("level_dependent", "warning")
+        assert found.message == f"left out, for it depends on the level of the force: {model.effects[0]}"
+    standing = Model(idle, tuple(at_level(idle, model.effects, 1.0, idle.dofs[0], (10.0, 60.0))))
+    assert not standing.frf([20.0, 30.0]).findings
 
 
 def test_without_effects_the_modes_are_the_idle_ones():

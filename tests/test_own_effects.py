@@ -164,7 +164,7 @@ def test_an_error_in_a_law_of_ones_own_is_told_with_its_file_and_method(tmp_path
 def test_a_missing_diagnosis_names_the_test_file_that_makes_it(compared, out):
     done = call("diagnose", out)
     assert done.exit_code == 1
-    assert f"`operando run {compared} -o {out}` makes it" in done.stderr
+    assert f"`operando run {compared} -o {out} --until diagnose` makes it" in done.stderr
 
 
 def test_the_list_has_all_kinds_with_parameters_units_and_locations():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import (
+    Finding,
     FrequencyAxis,
     Frf,
     Geometry,
@@ -188,6 +189,8 @@ class Model(Short):
     ) -> Frf:
         """FRFs as they would be measured, faults of the channels included (leave them out by :meth:`structure`).
 
+        Effects that depend on the level of the force are left out; a finding says so.
+
         H = H0 − H0_B (I + δZ H0_BB)⁻¹ δZ H0_Bᵀ in receptance (Sherman–Morrison–Woodbury), exact also for skew δZ.
 
         Parameters
@@ -222,7 +225,8 @@ class Model(Short):
                 own *= np.abs(factor) ** 2
         if own is not None:
             own += (self.discrepancy * np.abs(data)) ** 2
-        return Frf(data, axis, resp, refs, quantity, variance=own, si=self.idle.si, provenance=self.idle.provenance.then("Model.frf"))
+        made = self.idle.provenance.then("Model.frf")
+        return Frf(data, axis, resp, refs, quantity, variance=own, si=self.idle.si, findings=self._not_acting(), provenance=made)
 
     def modes(self, variance: bool = False) -> ModalModel:
         """Poles and complex shapes of the running structure: by :mod:`operando.structure.eigenproblem`.
@@ -240,7 +244,22 @@ class Model(Short):
             modes = running_modes(base, placed)
             if variance:
                 modes = with_spread(modes, base, placed, self._pole_changes(modes))
-        return self._shown(modes, base)
+        shown = self._shown(modes, base)
+        return replace(shown, findings=(*shown.findings, *self._not_acting()))
+
+    def _not_acting(self) -> tuple[Finding, ...]:
+        """Says which effects depend on the level: FRFs and modes, which know of none, are without them."""
+        action = "operando.structure.at_level puts in its place the spring and damper that it is equivalent to at a level"
+        return tuple(
+            Finding(
+                "level_dependent",
+                f"left out, for it depends on the level of the force: {e}",
+                consequence="the FRFs and modes lack it",
+                action=action,
+            )
+            for e in self.effects
+            if e.definition.level_dependent
+        )
 
     def _shown(self, modes: ModalModel, base: ModalModel) -> ModalModel:
         """Shapes through the response channels; a delay acts at each pole."""
