@@ -45,6 +45,8 @@ def test_unit_of_other_quantity():
         si_factor("N", "acceleration")
     with pytest.raises(UnitError, match="unknown unit"):
         si_factor("furlong")
+    with pytest.raises(UnitError, match=r"for displacement \(known: cm, ft, in, m, mil, mm, nm, um\)"):
+        si_factor("furlong", "displacement")
 
 
 def test_record_invariants():

@@ -113,7 +113,7 @@ def parse_unit(text: str, quantity: str | None = None) -> tuple[str, float]:
     if found is None:
         raise UnitError(
             f"unknown unit {text!r}" + (f" for {quantity}" if quantity else ""),
-            hint="known: " + ", ".join(sorted(_UNITS)),
+            hint="known: " + ", ".join(sorted([u for u, v in _UNITS.items() if v[0] == quantity] or _UNITS)),
         )
     if quantity not in (None, "unknown", "general", "") and found[0] != quantity:
         alternatives = {u: v for u, v in {**_UNITS, **_CASED}.items() if v[0] == quantity}

@@ -249,7 +249,7 @@ class Model(Short):
 
     def _not_acting(self) -> tuple[Finding, ...]:
         """Says which effects depend on the level: FRFs and modes, which know of none, are without them."""
-        action = "operando.structure.at_level puts in its place the spring and damper that it is equivalent to at a level"
+        action = "operando.structure.at_level gives the spring and damper that it is equivalent to at a level"
         return tuple(
             Finding(
                 "level_dependent",
