@@ -326,8 +326,8 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
     law = found("clearance")
-    (tried, *_), asked = law.candidates, []
-    assert tried["location"] == ["5+Z"]
+    asked = []
+    assert law.detection["location"] == ["5+Z"]
 
     def looked(idle, records, day=None, **options):
         asked.append(day)

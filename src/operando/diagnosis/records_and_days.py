@@ -85,10 +85,8 @@ class RecordsAndDays:
                 if other is None:
                     break
                 # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
-                tried = [row for row in other.candidates if row["selection_misfit"] is not None]
-                if tried and not (seen.nonlinear or other.nonlinear):
-                    best = Effect.from_dict(tried[0]).location
-                    other = beside(spring_and_damper(best, self.band or self.idle.band_hz)) or other
+                if not (seen.nonlinear or other.nonlinear):
+                    other = beside(spring_and_damper(other.detection["location"], self.band or self.idle.band_hz)) or other
                 if not (seen.nonlinear or other.nonlinear):
                     other = on(usual_day(self.idle, self.between or {}), OF_ANY_DAY)
             except OperandoError as error:
@@ -119,7 +117,7 @@ def linear_at(seen: RecordsDiagnosis | RecordsApplied, run: CheckRun) -> list[Ef
     return out
 
 
-def spring_and_damper(location: Sequence[Dof], band: tuple[float, float] | None) -> list[Effect]:
+def spring_and_damper(location: Sequence[Dof | str], band: tuple[float, float] | None) -> list[Effect]:
     """What FRFs of one level know a law at a location by, with the sizes that a fit begins at."""
     kind, place = "coupling" if len(location) == 2 else "ground", ",".join(map(str, location))
     return [parse_effect(f"{kind}_{part}@{place}", band) for part in ("spring", "damper")]

@@ -142,4 +142,5 @@ def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, sa
             case = replace(case, places=(best.spot.place,))
         if say:
             say(f"{best.law.kind} accepted, look for more")
+    detection["location"] = [str(first.idle.dofs[i]) for i in steps[0].place]
     return conclude(first, steps, accepted, more, detection, geometry)

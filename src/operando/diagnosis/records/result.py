@@ -24,7 +24,7 @@ class RecordsDiagnosis(Diagnosis):
     Parameters
     ----------
     detection : dict
-        What was seen before anything was named: homogeneity over levels, even share, coherence.
+        What was seen before anything was named: homogeneity over levels, distortion, coherence, the location where any force explains most.
     simulation : dict
         The model with its effects in the closed loop against the validation records.
     equivalents : tuple of tuple of LinearEquivalent

@@ -75,9 +75,10 @@ class Tried:
 
 @dataclass(frozen=True)
 class SearchStep:
-    """One step of the search: what was tried, and the errors of the runs before it."""
+    """One step of the search: what was tried, the errors of the runs before it, and the place at which any force explains most."""
 
     case: RecordsCase
+    place: tuple[int, ...]
     base_select: float
     base_validation: float
     tried: list[Tried]
@@ -112,7 +113,7 @@ def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], No
     floor = min((s.free for s in spots), default=1.0)
     simple = max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select))
     if at_first is not None and len(case.places) == 1 and rough and base_select <= simple and rough[0][0] > UNPROMISING * base_select:
-        return SearchStep(case, base_select, base_validation, [])
+        return SearchStep(case, near[0], base_select, base_validation, [])
     finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
     have = {(spot.place, law.kind, law.side) for _, spot, law in rough}
     # Without the mean deflection an even law may seem to act towards the other side.
@@ -142,7 +143,7 @@ def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], No
     close = STILL_OPEN * least() if least() < HOPE * base_select else 0.0
     tried = each(lambda t: settle_law(t.spot, t.law, turns=TURNS - FIRST_TURNS) if t.selection <= close else t, tried)
     remember()
-    return SearchStep(case, base_select, base_validation, sorted(tried + walked, key=lambda t: t.selection))
+    return SearchStep(case, near[0], base_select, base_validation, sorted(tried + walked, key=lambda t: t.selection))
 
 
 def roughly(spot: Spot, kind: str, side: float) -> tuple[float, Spot, ForceLaw] | None:
