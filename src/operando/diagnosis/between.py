@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
@@ -96,6 +96,18 @@ class Outside:
     def law(self, s: Array) -> Array:
         """Receptance of one unit at s [rad/s], (k,)."""
         return np.asarray(1 / (s**2 + 2 * self.lag * s + self.swing**2) if self.below else np.ones_like(s))
+
+
+def from_places(outside: Sequence[Outside], u: Array, here: Sequence[int], dofs: int, s: Array) -> Array:
+    """What lies outside the band from the places of effects, ``here``, to all DOFs at s [rad/s], (k, DOFs, places)."""
+    out, units = np.zeros((s.size, dofs, len(here)), complex), np.zeros((2, dofs, len(here)))
+    for row, value in zip(outside, u, strict=True):
+        units[int(row.below), row.other, here.index(row.place)] += value * row.spread
+        if row.other in here and row.other != row.place:
+            units[int(row.below), row.place, here.index(row.other)] += value * row.spread
+    for row in {row.below: row for row in outside}.values():  # all of one side have one law
+        out += row.law(s)[:, None, None] * units[int(row.below)]
+    return out
 
 
 def spreads_of(stated: Mapping[str, float]) -> dict[str, float]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, Between, Outside
 from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.products import Compliance, Rows
-from operando.diagnosis.terms import Term
+from operando.diagnosis.terms import Term, slopes
 
 Array = NDArray[Any]
 _LAWS = ("", "_slope", "_corner", "_late")
@@ -101,7 +101,6 @@ class Parts:
     structure: Array  # as the sensors show it
     here: list[int]
     outside: list[Outside]
-    by_values: list[list[Array]]
     order: Array
     laws: dict[str, Array]
     sensors: Array
@@ -137,8 +136,7 @@ class Derivatives:
         self._made()
         known = p.between
         n_g, n_d = p.idle.f_root.shape[1], known.shared_spread.size
-        values = [len(laws) if term.structural else len(term.values) for term, laws in zip(p.terms, p.by_values, strict=True)]
-        starts = np.cumsum([0, n_g, n_d, len(p.outside), *values])
+        starts = np.cumsum([0, n_g, n_d, len(p.outside), *(len(term.values) for term in p.terms)])
         n = int(starts[-1]) + len(p.reaching_dofs) * p.reaching.size
         responses, references, _, count, _ = self.poles.shape
         shared = np.zeros((responses, references, count, 2, n))
@@ -375,33 +373,45 @@ class Derivatives:
 
     def _by_direct(self, out: Array) -> None:
         """By what lies outside the band at the places of effects, and by the values of structural effects: each has a law of its own."""
-        p, w = self.of, self.of.w
-        columns, at = [], []
-        for number, row in enumerate(p.outside):
-            slope = row.law(1j * w) * row.spread
-            by_row = -self._motion(row.other)[:, :, None] * p.force[:, p.here.index(row.place), None]
-            if row.other in p.here and row.other != row.place:
-                by_row = by_row - self._motion(row.place)[:, :, None] * p.force[:, p.here.index(row.other), None]
-            columns.append(by_row * slope[:, None, None])
-            at.append(number)
-        start = len(p.outside)
-        for term, laws_of in zip(p.terms, p.by_values, strict=True):
+        p, start = self.of, len(self.of.outside)
+        self._by_outside(out)
+        columns: list[Array] = []
+        at: list[int] = []
+        for term in p.terms:
             if term.structural:
-                columns += [-self.touched_columns @ (slope @ p.acting[:, p.here]) for slope in laws_of]
-                at += range(start, start + len(laws_of))
-                start += len(laws_of)
-            else:
-                start += len(term.values)
+                b = [p.here.index(i) for i in term.places]
+                moving = p.acting[:, list(term.places)]
+                columns += [-self.touched_columns[..., b] @ (slope @ moving) for slope in slopes(term, p.w, p.between.band)]
+                at += range(start, start + len(term.values))
+            start += len(term.values)
         if columns:
             values = np.stack([np.transpose(v * p.factor, (1, 2, 0)) for v in columns], -1)
             out[..., at] = self._as_rows([[values]])[0]
 
-    def _motion(self, dof: int) -> Array:
-        """Motion (lines, responses) that a unit motion of one DOF brings about."""
+    def _by_outside(self, out: Array) -> None:
+        """By what lies outside the band at the places of effects: a response shows it at its own DOF, and through the effects."""
         p = self.of
-        out = np.zeros((p.w.size, len(self.dofs)), complex)
-        out[:, p.order == dof] = 1
-        return out + self.reached[..., p.here.index(dof)] if dof in p.here else out
+        laws = {row.below: row.law(1j * p.w) for row in p.outside}  # all of one side have one
+        if not laws:
+            return
+        both, here = np.stack([*laws.values()], -1), len(p.here)
+        force = -np.transpose(p.force, (2, 0, 1))[..., None] * both[:, None]  # (references, lines, places, laws)
+        alone = np.transpose(p.factor, (1, 2, 0))[..., None] * force.reshape(*force.shape[:2], -1)
+        reached = np.swapaxes(self.reached, 0, 1)[:, None, ..., None]  # (responses, 1, lines, places, 1)
+        through = (reached * alone[..., None, :]).reshape(*alone.shape[:3], -1)
+        at_own, at_all = self._as_rows([[alone], [through]])
+        at_own = at_own.reshape(*at_own.shape[:-1], here, -1)
+        at_all = at_all.reshape(*at_all.shape[:-1], here, here, -1)
+        for number, row in enumerate(p.outside):
+            column, law, place = out[..., number], [*laws].index(row.below), p.here.index(row.place)
+            column[p.order == row.other] = at_own[p.order == row.other, ..., place, law]
+            if row.other in p.here:
+                other = p.here.index(row.other)
+                column += at_all[..., other, place, law]
+                if other != place:
+                    column += at_all[..., place, other, law]
+                    column[p.order == row.place] += at_own[p.order == row.place, ..., other, law]
+            column *= row.spread
 
     def _by_values(self, term: Term, out: Array) -> None:
         """By the values of an effect that adds no dynamic stiffness."""

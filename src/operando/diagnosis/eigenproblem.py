@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.between import Outside
+from operando.diagnosis.between import Outside, from_places
 from operando.diagnosis.derivatives import Moved
 from operando.diagnosis.forward import Forward, Point
 from operando.diagnosis.idle import Moves
@@ -79,13 +79,7 @@ class System:
 
     def r(self, s: Array) -> Array:
         """What lies outside the band, from the places of the effects to all DOFs, (k, DOFs, places)."""
-        out = np.zeros((s.size, self.forward.n_dofs, len(self.here)), complex)
-        for row, value in zip(self.outside, self.x.u, strict=True):
-            change = value * row.spread * row.law(s)
-            out[:, row.other, self.here.index(row.place)] += change
-            if row.other in self.here and row.other != row.place:
-                out[:, row.place, self.here.index(row.other)] += change
-        return out
+        return from_places(self.outside, self.x.u, self.here, self.forward.n_dofs, s)
 
     def force(self, s: Array, terms: Sequence[Term] | None = None) -> Array:
         """W(s): what displacements of the modes at the places hold them back by, (k, places, places)."""

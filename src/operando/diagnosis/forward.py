@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, Outside, channel_laws
+from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, Outside, channel_laws, from_places
 from operando.diagnosis.derivatives import Derivatives, FirstOrder, Moved, Parts
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.products import Compliance, Rows, laid
+from operando.diagnosis.products import Compliance, Rows
 from operando.diagnosis.slopes import Block, Slopes, in_blocks
-from operando.diagnosis.terms import Term, added, slopes, touched
+from operando.diagnosis.terms import Term, added, touched
 
 Array = NDArray[Any]
 
@@ -32,6 +32,11 @@ class Point:
     own: Array
     u: Array
     terms: tuple[Term, ...] = ()
+
+    def same(self, other: Point) -> bool:
+        """Whether all values are the same."""
+        pairs = [(self.g, other.g), (self.d, other.d), (self.own, other.own), (self.u, other.u)]
+        return self.terms == other.terms and all(np.array_equal(a, b) for a, b in pairs)
 
 
 @dataclass
@@ -71,6 +76,7 @@ class Forward:
     responses: Array
     references: Array
     band: tuple[float, float]
+    _last: ClassVar[tuple[Forward, Point, Array, Parts] | None] = None
 
     def __post_init__(self) -> None:
         idle = self.idle
@@ -88,6 +94,7 @@ class Forward:
             part = self.between.own[name]
             reaching.append(self.n_shape + np.arange(part.start, part.stop))
         self.reaching = np.concatenate(reaching)
+        self._outside: dict[tuple[int, ...], list[Outside]] = {}
 
     @property
     def start(self) -> Point:
@@ -96,7 +103,10 @@ class Forward:
 
     def outside(self, terms: Sequence[Term]) -> list[Outside]:
         """What lies outside the band at the undriven places of effects: own values, and those to other undriven places."""
-        out, known, here, shown = [], self.between, touched(terms), set(self.responses.tolist())
+        here = tuple(touched(terms))
+        if here in self._outside:
+            return self._outside[here]
+        out, known, shown = [], self.between, set(self.responses.tolist())
         for place in here:
             if not self.undriven[place]:
                 continue
@@ -110,6 +120,7 @@ class Forward:
                     if other != place and (other in shown or other in here):
                         spread = OUTSIDE[f"row_{name}"] * float(np.sqrt(own[place] * own[other]))
                         out.append(Outside(place, int(other), below, spread, *swings))
+        self._outside[here] = out
         return out
 
     def reaching_dofs(self, terms: Sequence[Term]) -> list[int]:
@@ -178,7 +189,13 @@ class Forward:
         return Moved(f, zeta, by_f, by_zeta, phi, shapes, float(root), float(more), whole)
 
     def _parts(self, x: Point, w: Array) -> Parts:
-        """FRFs at a point, and what they are made of."""
+        """FRFs at a point, and what they are made of; those made last are kept, for a step that was tried is where the next one begins."""
+        last = Forward._last
+        if last is None or last[0] is not self or not (last[1].same(x) and np.array_equal(last[2], w)):
+            last = Forward._last = self, x, w, self._made(x, w)
+        return last[3]
+
+    def _made(self, x: Point, w: Array) -> Parts:
         idle, known, n, m, nd, refs = self.idle, self.between, w.size, self.modes, self.n_dofs, self.references
         shape_own, rest = x.own[:, : self.n_shape], x.own[:, self.n_shape :]
         part, own = known.shared_parts(x.d), known.own_parts(rest)
@@ -213,15 +230,11 @@ class Forward:
         phi_f = np.swapaxes(phi[..., refs, :] + driven, -1, -2)
         h0 = shape_k @ phi_f + first.rest(refs) + own["rest_above"] - own["rest_below"] / line[:, :, None] ** 2
         # structural effects: a low-rank update in the DOFs they touch
-        here, stiff, by_values = self._added(terms, w)
+        here, stiff = self._added(terms, w)
         phi_here = phi[..., here, :]
         columns = shape_k @ np.swapaxes(phi_here, -1, -2) + first.rest(here)
         outside = self.outside(terms)
-        for row, value in zip(outside, x.u * np.array([row.spread for row in outside]), strict=True):
-            change = value * row.law(1j * w)
-            columns[:, row.other, here.index(row.place)] += change
-            if row.other in here and row.other != row.place:
-                columns[:, row.place, here.index(row.other)] += change
+        columns += from_places(outside, x.u, here, nd, 1j * w)
         inner = np.linalg.solve(np.eye(len(here)) + stiff @ columns[:, here], stiff)
         acting = h0 - columns @ (inner @ h0[:, here])
         force = stiff @ acting[:, here]
@@ -233,24 +246,19 @@ class Forward:
         factor = sensors[:, order, None] * forces[:, None]
         return Parts(
             idle, known, refs, terms, self.reaching, self.reaching_dofs(terms), w, made, lag, lags, k, first, phi, shape_k, columns,
-            inner, stiff, force, kx, acting, structure, here, outside, by_values, order, laws, sensors, forces, factor,
+            inner, stiff, force, kx, acting, structure, here, outside, order, laws, sensors, forces, factor,
             structure[:, order] * factor, damping_between, damping_scale,
         )  # fmt: skip
 
-    def _added(self, terms: Sequence[Term], w: Array) -> tuple[list[int], Array, list[list[Array]]]:
-        """Touched DOFs, the dynamic stiffness over them (lines, k, k), and its derivatives for each term."""
+    def _added(self, terms: Sequence[Term], w: Array) -> tuple[list[int], Array]:
+        """Touched DOFs, and the dynamic stiffness over them (lines, k, k)."""
         here = touched(terms)
         stiff = np.zeros((w.size, len(here), len(here)), complex)
-        by_values: list[list[Array]] = []
         for term in terms:
-            if not term.structural:
-                by_values.append([])
-                continue
-            b = [here.index(i) for i in term.places]
-
-            stiff += laid(added(term, w, self.band), b, len(here))
-            by_values.append([laid(slope, b, len(here)) for slope in slopes(term, w, self.band)])
-        return here, stiff, by_values
+            if term.structural:
+                b = np.array([here.index(i) for i in term.places])
+                stiff[:, b[:, None], b] += added(term, w, self.band)
+        return here, stiff
 
     def _channels(
         self, terms: Sequence[Term], part: dict[str, Array], own: dict[str, Array], laws: dict[str, Array], w: Array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,13 +52,14 @@ class Moves:
         follow = np.divide(-others, inverse, out=np.ones_like(inverse), where=inverse > 0)
         return np.asarray(np.clip(follow, 0, 1)[:, None] * scale)
 
-    def at(self, base: Array, scale: Array, g: Array, own: Array, exact: bool = False) -> tuple[Array, Moves]:
-        """Values (DOFs, terms) at g and own (DOFs, e), and how they move from there; ``exact``ly by g at zero.
+    def ways(self, base: Array, scale: Array, exact: bool = False) -> tuple[Array, Array, Array]:
+        """How far values (DOFs, terms) about a base follow their scale, how g moves its logarithm, and what else g adds to each.
 
         What is measured are products of a driven and another DOF: where the driven value is larger, the other one is smaller by the same
         factor e^t. By sums alone their product would be wrong by t², far beyond its own standard deviation where a reference hardly
         moves in a mode. The factor is log-normal, with the relative standard deviation σ of the scale: t has √ln(1 + σ²). Each value
         follows it as far as its regression on the scale says (1: in proportion, −1: inversely), and moves on its own with the rest.
+        ``exact``ly so by g at zero.
         """
         variance = np.sum(scale**2, axis=1)
         along, against = np.einsum("dtg,tg->dt", self.shared, scale), base * variance
@@ -65,9 +67,12 @@ class Moves:
         follows = np.divide(along * np.sign(against), most, out=np.zeros_like(base), where=most > 0)
         relative = np.sqrt(variance)
         by_log = np.divide(np.sqrt(np.log1p(variance)), relative, out=np.ones_like(relative), where=(relative > 0) & (not exact))
-        within = by_log[:, None] * scale
+        return follows, by_log[:, None] * scale, self.shared - (follows * base)[..., None] * scale
+
+    def at(self, base: Array, ways: tuple[Array, Array, Array], g: Array, own: Array) -> tuple[Array, Moves]:
+        """Values (DOFs, terms) at g and own (DOFs, e) by their :meth:`ways`, and how they move from there."""
+        follows, within, shared = ways
         grown = np.exp(follows * (within @ g))
-        shared = self.shared - (follows * base)[..., None] * scale
         values = (base + shared @ g + (self.own @ own[..., None])[..., 0]) * grown
         return values, Moves(grown[..., None] * shared + (follows * values)[..., None] * within, grown[..., None] * self.own)
 
@@ -136,16 +141,16 @@ class Idle:
     first_order: bool = True
     exact: bool = False
 
-    @property
+    @cached_property
     def modes(self) -> Array:
         return np.flatnonzero(~self.residual)
 
-    @property
+    @cached_property
     def assumed(self) -> Array:
         """Residual terms whose poles were assumed: with the day and with g they move only all together, (terms,) bool."""
         return np.asarray(self.residual & ~(self.f_root.any(axis=1) | self.zeta_root.any(axis=1)))
 
-    @property
+    @cached_property
     def complex(self) -> bool:
         """Whether shapes lag, or could."""
         return bool(self.lag.any() or self.lags.shared.any() or self.lags.own.any())
@@ -254,21 +259,26 @@ class Idle:
         zeta = np.where(assumed, self.zeta * np.exp(self.residual_damping @ g), zeta)
         return f, zeta, by_f, np.where(assumed[:, None], zeta[:, None] * self.residual_damping, by_zeta)
 
+    @cached_property
+    def _ways(self) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+        """Of shapes and of lags, which scale as these do."""
+        scale = self.shapes.scale(self.phi, self.driven, self.exact)
+        lags = self.lags.ways(self.lag, scale[self.modes], self.exact)
+        scale[self.residual if self.exact else self.linear] = 0
+        return self.shapes.ways(self.phi, scale, self.exact), lags
+
     def shape(self, g: Array, own: Array) -> tuple[Array, Moves]:
         """Shapes at g and own (DOFs, e), and how they move from there."""
-        scale = self.shapes.scale(self.phi, self.driven, self.exact)
-        scale[self.residual if self.exact else self.linear] = 0
-        return self.shapes.at(self.phi, scale, g, own, self.exact)
+        return self.shapes.at(self.phi, self._ways[0], g, own)
 
-    @property
+    @cached_property
     def linear(self) -> Array:
         """Numbers of the terms that are linear in their changes."""
         return np.flatnonzero(self.residual) if self.first_order else np.zeros(0, int)
 
     def late(self, g: Array, own: Array, times: float = 1.0) -> tuple[Array, Moves]:
-        """Lags of shapes, which scale as these do; so many times as large as at rest."""
-        scale = self.shapes.scale(self.phi, self.driven, self.exact)[self.modes]
-        lag, moves = self.lags.at(self.lag, scale, g, own, self.exact)
+        """Lags of shapes; so many times as large as at rest."""
+        lag, moves = self.lags.at(self.lag, self._ways[1], g, own)
         return times * lag, Moves(times * moves.shared, times * moves.own)
 
     def with_near(self, band: tuple[float, float], fitted: bool = False) -> Idle:

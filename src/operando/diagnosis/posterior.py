@@ -42,6 +42,7 @@ _APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
 NEAR = 2.0  # nats that a turn of that way takes off its cost, below which it ends: a fit goes on, and ways are told apart by ten times that
 _SETTLED = 1.0  # nats that a turn takes off the objective, below which its unknowns tell how wide their spreads are
 _SPREADS_AT = 0.2  # nats that a further turn promises, below which spreads are estimated
+_STEP = 0.3  # nats that half of the discrepancy must add
 _OUTSIDE = 3  # turns in a row that end with values of an effect out of their range, after which they do not come back
 _FAR = 60.0  # nats below the best state at which a fit is left where a turn does not take a quarter of them
 
@@ -150,6 +151,20 @@ def likely_alpha(problem: Problem, residual: Array, slopes: Slopes, factor: Fact
     return new * min(1, new / now) if new < now else new
 
 
+def _most_gain(problem: Problem, residual: Array, slopes: Slopes, x: Step, alpha: float, lower: float, factor: Factor) -> float:
+    """What a lower discrepancy can add to the evidence of a linear model at most; ``factor`` is of the one that it has.
+
+    With weights V of the squares, W at the lower one, and r and Λ where the model has its maximum, it adds ½ Σ (log(W/V) − (W − V) r²)
+    − ½ log |Λ'Λ⁻¹| + ½ gᵀ Λ'⁻¹ g with g = Jᵀ (W − V) r; and Λ' is no less than Λ, for no weight falls.
+    """
+    now, then = problem.weights(alpha), problem.weights(lower)
+    step = problem.solved(factor, problem.gradient(slopes, residual * now, x))
+    left = residual - problem.spread(slopes, step)
+    along = problem.projected(slopes, left * (then - now))
+    a, b = factor.whitened(along.shared[:, None], along.own[..., None])
+    return 0.5 * float(np.sum(np.log(then / now) - (then - now) * left**2) + np.sum(a**2) + np.sum(b**2))
+
+
 def fit(
     case: Case,
     start: Point,
@@ -217,12 +232,12 @@ def fit(
                 last = by
                 (problem, x), done = rescaled(problem, x, by), False
                 continue
-        if done and turn < turns - 2:  # expectation maximisation is slow where little is known: a step along the evidence itself
-            here = linear_evidence(problem, left, slopes, x, alpha)[0]
-            for other in (alpha / 2, 2 * alpha):
-                if LEAST_DISCREPANCY <= other <= MOST_DISCREPANCY and linear_evidence(problem, left, slopes, x, other)[0] > here + 0.3:
-                    alpha, done = other, False
-                    break
+        # expectation maximisation is slow downwards where little is known: a step along the evidence itself
+        lower = alpha / 2
+        if done and turn < turns - 2 and lower >= LEAST_DISCREPANCY and _most_gain(problem, left, slopes, x, alpha, lower, factor) > _STEP:
+            here, there = (linear_evidence(problem, left, slopes, x, a)[0] for a in (alpha, lower))
+            if there > here + _STEP:
+                alpha, done = lower, False
     return State(problem.point(x), alpha, evidence + log_prior(problem), factor, problem)
 
 

@@ -31,13 +31,6 @@ class Compliance:
         return out
 
 
-def laid(value: Array, b: list[int], size: int) -> Array:
-    """Dynamic stiffness (lines, places, places) among all touched DOFs."""
-    full = np.zeros((len(value), size, size), complex)
-    full[:, np.array(b)[:, None], b] = value
-    return full
-
-
 class Rows:
     """How values of all pairs on the lines become independent rows: combinations of lines, or each line by a weight.
 

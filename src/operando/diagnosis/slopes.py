@@ -13,7 +13,7 @@ from operando.diagnosis.arrow import Factor, Information
 Array = NDArray[Any]
 Block = tuple[slice, Array, Array]
 
-AT_ONCE = 1 << 20
+AT_ONCE = 1 << 21
 """Values at a time of derivatives and of products that they are made of: so few megabytes of memory are used again and again."""
 
 KEPT = 1 << 28
