@@ -12,7 +12,7 @@ import test_diagnosis as chain
 from operando.diagnosis.criteria import LEAST_DISCREPANCY
 from operando.diagnosis.discrepancy import discrepancy_row, likely_discrepancy, most_likely
 from operando.diagnosis.lines import changes
-from operando.diagnosis.posterior import fit, linear_evidence, with_discrepancy
+from operando.diagnosis.posterior import fit, linear_evidence, most_gain, with_discrepancy
 from operando.diagnosis.records.hold_out import Discrepancy
 from operando.diagnosis.terms import Term
 from operando.indicators import INTERVAL
@@ -51,6 +51,18 @@ def deviations(alpha, seeds, **how):
 
 def holds(off):
     return float(np.mean(np.abs(off) < INTERVAL))
+
+
+@pytest.mark.parametrize("begun", [0.02, 0.1, 0.4])
+def test_half_of_the_discrepancy_adds_no_more_than_is_said_without_its_information(begun):
+    state = fitted(0.02, 0)
+    problem, x = state.problem, state.problem.packed(state.x)
+    slopes, residual = problem.derived(x)
+    here, _, factor = linear_evidence(problem, residual, slopes, x, begun)
+    gain = linear_evidence(problem, residual, slopes, x, begun / 2)[0] - here
+    most = most_gain(problem, residual, slopes, x, begun, begun / 2, factor)
+    assert gain <= most < gain + 1.4 * x.shared.size  # ½ log |Λ'Λ⁻¹| at most: log 2 of each unknown
+    assert (gain > 0) == (most > 0) == (begun > 0.02)
 
 
 def test_intervals_hold_the_discrepancy():

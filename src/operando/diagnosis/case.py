@@ -134,6 +134,7 @@ class Case:
         self.nodes = [tuple(v) for v in nodes.values()]
         self.allowed = tuple(range(len(self.dofs))) if places is None else tuple(places)
         self._ranges: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {} if like is None else like._ranges
+        self._priors: dict[tuple[str, tuple[int, ...], int], tuple[Array, Array]] = {}
         self.like = like
         self.at_rest: AsItIs = AsItIs() if like is None else like.at_rest
         self.law_in_vain = np.inf  # log evidence that no smooth force law came near to
@@ -273,7 +274,10 @@ class Case:
 
     def prior(self, term: Term) -> tuple[Array, Array]:
         """Means and standard deviations of the values; those that are held are known."""
-        mean, std = self._prior(term)
+        key = term.kind, term.places, len(term.values)
+        if key not in self._priors:
+            self._priors[key] = self._prior(term)
+        mean, std = (v.copy() for v in self._priors[key])
         for number in term.fixed:
             mean[number], std[number] = term.values[number], HELD
         return mean, std

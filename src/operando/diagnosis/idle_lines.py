@@ -93,7 +93,7 @@ class Placed:
         shared[:g, :g] = part.shared
         for row, first in self.far:
             at = slice(first, first + k)
-            shared[at, :g], shared[at, at] = part.across[row], part.own[row]
+            shared[at, :g], shared[:g, at], shared[at, at] = part.across[row], part.across[row].T, part.own[row]
         for row, block in self.near:
             across[block, :k, :g], own[block, :k, :k] = part.across[row], part.own[row]
         return Information(shared, across, own)

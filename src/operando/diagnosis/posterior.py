@@ -151,7 +151,7 @@ def likely_alpha(problem: Problem, residual: Array, slopes: Slopes, factor: Fact
     return new * min(1, new / now) if new < now else new
 
 
-def _most_gain(problem: Problem, residual: Array, slopes: Slopes, x: Step, alpha: float, lower: float, factor: Factor) -> float:
+def most_gain(problem: Problem, residual: Array, slopes: Slopes, x: Step, alpha: float, lower: float, factor: Factor) -> float:
     """What a lower discrepancy can add to the evidence of a linear model at most; ``factor`` is of the one that it has.
 
     With weights V of the squares, W at the lower one, and r and Λ where the model has its maximum, it adds ½ Σ (log(W/V) − (W − V) r²)
@@ -234,7 +234,7 @@ def fit(
                 continue
         # expectation maximisation is slow downwards where little is known: a step along the evidence itself
         lower = alpha / 2
-        if done and turn < turns - 2 and lower >= LEAST_DISCREPANCY and _most_gain(problem, left, slopes, x, alpha, lower, factor) > _STEP:
+        if done and turn < turns - 2 and lower >= LEAST_DISCREPANCY and most_gain(problem, left, slopes, x, alpha, lower, factor) > _STEP:
             here, there = (linear_evidence(problem, left, slopes, x, a)[0] for a in (alpha, lower))
             if there > here + _STEP:
                 alpha, done = lower, False
