@@ -15,7 +15,7 @@ from operando.diagnosis import Diagnosis, diagnose_frf, from_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
 from operando.diagnosis.case import COLUMNS, Case
-from operando.diagnosis.contained import contained
+from operando.diagnosis.contained import contained, turned_into
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import (
     CONTAINING,
@@ -679,6 +679,10 @@ def test_a_kind_that_contains_another_must_earn_more():
     assert score(simple) == pytest.approx(simple.log_evidence - EARNED)
     assert score(rich) == pytest.approx(rich.log_evidence - EARNED - CONTAINING)
     assert {t.kind for t in contained(one, absorber)} == {"point_mass", "ground_spring", "ground_damper"}
+    low, high = np.log(one.band)
+    far = {"point_mass": (high + 1.5, 0.01), "ground_spring": (low - 1.5, 0.01), "ground_damper": (low - 3.0, 1.0)}
+    for kind, (f, zeta) in far.items():
+        assert [t.kind for t in turned_into(one, replace(absorber, values=(absorber.values[0], f, np.log(zeta))))] == [kind]
 
 
 def test_rows_of_candidates_say_what_is_beyond_words_and_what_contains_the_effect_found():

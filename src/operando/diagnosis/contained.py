@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from operando.diagnosis.case import Case
 from operando.diagnosis.terms import Term, added
+
+Array = NDArray[Any]
+_LINES = 50  # on which laws are compared
 
 
 def contained(case: Case, term: Term) -> list[Term]:
@@ -27,3 +33,13 @@ def contained(case: Case, term: Term) -> list[Term]:
             further = tuple(float(v) for v in case.prior(Term(kind, places))[0][1:])
             out.append(Term(kind, places, (float(np.log(value)), *further), term.sign))
     return out
+
+
+def turned_into(case: Case, term: Term) -> list[Term]:
+    """The simpler kind that a term beyond its range has turned into: whose dynamic stiffness is nearest to its own over the band."""
+    w = 2 * np.pi * np.linspace(*case.band, _LINES)
+
+    def law(one: Term) -> Array:
+        return np.asarray(added(one, w, case.band)[:, 0, 0])
+
+    return sorted(contained(case, term), key=lambda one: float(np.linalg.norm(law(one) - law(term))))[:1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.case import Case
-from operando.diagnosis.contained import contained
+from operando.diagnosis.contained import contained, turned_into
 from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE
 from operando.diagnosis.days import no_other_day, promotions, strained
 from operando.diagnosis.forward import Point
@@ -106,6 +106,11 @@ class Start:
     case: Case
 
 
+def key_of(terms: Iterable[Term]) -> Key:
+    """Kinds and places of some effects."""
+    return tuple(sorted(t.key for t in terms))
+
+
 def leaders(pool: Mapping[Key, State], within: float, count: int) -> list[State]:
     """States not far below the best one, without those that only add effects to it."""
     ranked = sorted(pool.values(), key=lambda s: -s.log_evidence)
@@ -167,12 +172,12 @@ class Search:
             self.say(f"  {names(self.case, state.terms)} {state.log_evidence:.1f}, discrepancy {state.alpha:.4f}")
             beyond = [t for t in state.terms if not t.within_range(self.case.band)]
             if beyond:
-                self.say("  (values out of their range: taken for simpler kinds)")
+                self.say("  (values out of their range: taken for a simpler kind)")
                 rest = [t for t in state.terms if t is not beyond[0]]
                 simpler += [
                     Start(state.carried([*rest, t]), state.alpha, state.case)
-                    for t in contained(self.case, beyond[0])
-                    if tuple(sorted(o.key for o in (*rest, t))) not in ended and self.once([*rest, t])
+                    for t in turned_into(self.case, beyond[0])
+                    if key_of((*rest, t)) not in ended and self.once([*rest, t])
                 ]
                 continue
             known = self.pool.get(state.key)
@@ -183,7 +188,7 @@ class Search:
         return states
 
     def once(self, terms: Sequence[Term]) -> bool:
-        key = tuple(sorted(t.key for t in terms))
+        key = key_of(terms)
         new = key not in self.tried
         self.tried.add(key)
         return new
@@ -256,16 +261,14 @@ class Search:
         if self.given_up:
             return False
         now = self.best()
-        if len(now.terms) > 1:
-            rests = [[t for t in now.terms if t is not term] for term in now.terms]
-            self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if self.once(rest)])
+        rests = [[t for t in now.terms if t is not term] for term in now.terms if len(now.terms) > 1]
+        self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if key_of(rest) not in self.pool and self.once(rest)])
         best = self.best()
         if self.depth == 1 and best.alpha >= EXPLAINED:  # no further step, and no answer
             return False
         if not self._enough() and (self._behind(was, 0.5, best.terms) or (self.rival is not None and remounted(best))):
             return False
-        grown = len(best.terms) > len(was.terms)
-        if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
+        if best is was or (len(best.terms) > len(was.terms) and best.log_evidence < was.log_evidence + EARNED):
             return False
         return not (self._enough() or self._no_other_day(best))
 
@@ -307,11 +310,11 @@ class Search:
             starts = [Start(best.x, best.alpha, best.case)]
             for term in self.unsure(best):
                 rest = best.carried([t for t in best.terms if t is not term])
-                own = self.pool.get(tuple(sorted(t.key for t in rest.terms)))
+                own = self.pool.get(key_of(rest.terms))
                 if own is None or own.log_evidence > best.log_evidence - RIVALS:
                     starts.append(Start(rest, best.alpha, best.case))
                     starts += [] if own is None else [Start(own.x, own.alpha, own.case)]
-            keys = {tuple(sorted(t.key for t in start.x.terms)) for start in starts}
+            keys = {key_of(start.x.terms) for start in starts}
             # a fit that did not come to its end has too much evidence; one that fails leaves the state as it was
             before = {key: self.pool.pop(key) for key in keys & self.pool.keys()}
             self.fitted(starts, closely=True)
@@ -485,7 +488,7 @@ class Search:
         states have gone different ways, a weak effect would else be found for the difference of their ways. What an effect is worth is of
         first order: of one that adds more than two ways differ by, it says nothing.
         """
-        without = self.pool.get(tuple(sorted(t.key for t in rest)))
+        without = self.pool.get(key_of(rest))
         if without is None or self.pool[state.key].log_evidence > without.log_evidence + WAYS:
             return
         most = without.log_evidence + worth + self.case.log_place(term)
