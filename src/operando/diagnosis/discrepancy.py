@@ -50,9 +50,8 @@ def likely_discrepancy(state: State) -> tuple[float, float | None]:
         return linear_evidence(problem, residual, slopes, x, float(np.exp(log)))[0]
 
     low, high = np.log(LEAST_DISCREPANCY), np.log(MOST_DISCREPANCY)
-    if state.alpha <= LEAST_DISCREPANCY * (1 + 1e-9) and evidence(low + _STEP) <= evidence(
-        low
-    ):  # it ended there, and the evidence has one maximum
+    ended = state.alpha <= LEAST_DISCREPANCY * (1 + 1e-9)
+    if ended and evidence(low + _STEP) <= evidence(low):  # the evidence has one maximum
         return LEAST_DISCREPANCY, None
     log = float(minimize_scalar(lambda v: -evidence(v), bounds=(low, high), method="bounded", options={"xatol": 1e-3}).x)
     around = [evidence(log + step) for step in (-_STEP, 0, _STEP)]

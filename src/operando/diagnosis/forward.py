@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +76,6 @@ class Forward:
     responses: Array
     references: Array
     band: tuple[float, float]
-    _last: ClassVar[tuple[Forward, Point, Array, Parts] | None] = None
 
     def __post_init__(self) -> None:
         idle = self.idle
@@ -95,6 +94,7 @@ class Forward:
             reaching.append(self.n_shape + np.arange(part.start, part.stop))
         self.reaching = np.concatenate(reaching)
         self._outside: dict[tuple[int, ...], list[Outside]] = {}
+        self._last: tuple[Point, Array, Parts] | None = None
 
     @property
     def start(self) -> Point:
@@ -190,10 +190,10 @@ class Forward:
 
     def _parts(self, x: Point, w: Array) -> Parts:
         """FRFs at a point, and what they are made of; those made last are kept, for a step that was tried is where the next one begins."""
-        last = Forward._last
-        if last is None or last[0] is not self or not (last[1].same(x) and np.array_equal(last[2], w)):
-            last = Forward._last = self, x, w, self._made(x, w)
-        return last[3]
+        last = self._last
+        if last is None or not (last[0].same(x) and np.array_equal(last[1], w)):
+            last = self._last = x, w, self._made(x, w)
+        return last[2]
 
     def _made(self, x: Point, w: Array) -> Parts:
         idle, known, n, m, nd, refs = self.idle, self.between, w.size, self.modes, self.n_dofs, self.references
