@@ -12,7 +12,8 @@ import pytest
 from nonlinear_truth import Strip, measure_many, place
 from operando.diagnosis import diagnose_records, with_frfs
 from operando.diagnosis.another_day import usual_day
-from operando.diagnosis.between import FAMILIES
+from operando.diagnosis.between import FAMILIES, SPREADS, Between
+from operando.diagnosis.idle import Idle
 from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_case, std_of
 from operando.diagnosis.records.day import powers
 from operando.diagnosis.records.motion import measured_share
@@ -35,7 +36,7 @@ def records():
     return measure_many(STRIP, {"contact": hidden}, seconds=12.0, run_in=3.0)["contact"]
 
 
-def day_with(sensor_gains=None, sensor_std=0.0, force_std=0.0, open_=True) -> Day:
+def day_with(sensor_gains=None, sensor_std=0.0, force_std=0.0, open_=True, shown_std=0.0) -> Day:
     """The day as FRFs have it that are wrong in all frequencies and damping ratios; ``open_`` says that they are."""
     idle, rng = STRIP.idle(), np.random.default_rng(4)
     terms, n, m = idle.terms, int(np.count_nonzero(idle.in_band)), len(idle.dofs)
@@ -46,7 +47,8 @@ def day_with(sensor_gains=None, sensor_std=0.0, force_std=0.0, open_=True) -> Da
     gains = np.ones(m) if sensor_gains is None else sensor_gains
     wrong = idle.with_terms(frequencies_hz=f, damping_ratios=zeta)
     shown = np.array(terms.shapes)
-    return Day(wrong, shown, np.arange(n), covariance, gains, np.full(m, sensor_std), {}, force_std, lambda hz, rows, driven: None)
+    askew = shown_std * np.abs(shown[:, :n])
+    return Day(wrong, shown, askew, np.arange(n), covariance, gains, np.full(m, sensor_std), {}, force_std, lambda hz, rows, driven: None)
 
 
 @cache
@@ -161,3 +163,22 @@ def test_gains_that_are_not_known_widen_the_intervals_by_the_powers_of_the_unit(
     added = {n: np.sqrt(unsure[n] ** 2 - sure[n] ** 2) / tried.law.values[n] for n in sure}
     assert added["stiffness"] == pytest.approx(np.hypot(motion, force), rel=0.1)
     assert added["gap"] == pytest.approx(motion, rel=0.1)
+
+
+def test_shapes_that_sensors_show_otherwise_widen_the_intervals_less_the_more_modes_move():
+    """Each mode is shown too large by itself: of the motion no more than of one mode alone, and no less than where all move alike."""
+    where, day = spot(True)
+    tried = Tried.of(where, ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP}))
+    share = 0.02
+    sure, unsure = std_of(tried, day_with()), std_of(tried, day_with(shown_std=share))
+    for name, value in tried.law.values.items():
+        added = np.sqrt(unsure[name] ** 2 - sure[name] ** 2) / value
+        assert share / np.sqrt(day.modes.size) < added < share
+
+
+def test_what_is_across_a_shape_has_the_standard_deviations_of_draws():
+    idle = Idle.of(STRIP.idle(), (6.0, 84.0), STRIP.idle().dofs[:1])
+    between, rng = Between(idle, np.array([0]), (6.0, 84.0), SPREADS.copy()), np.random.default_rng(1)
+    std = rng.uniform(0.5, 2.0, between.direction.shape)
+    draws = np.array([between.across(std * rng.standard_normal(std.shape)) for _ in range(4000)])
+    np.testing.assert_allclose(between.across_std(std), draws.std(axis=0), atol=0.05 * std.max())

@@ -73,7 +73,8 @@ def usual_day(idle: ModalModel, between: Mapping[str, float]) -> Day:
     frequency = of_modes(spread["stiffness"] / 2, spread["mode"])
     covariance = block_diag(frequency, of_modes(spread["damping_whole"], spread["damping"]))
     shapes, one = np.asarray(idle.terms.shapes, float), np.ones(m)
-    return Day(idle, shapes, modes, covariance, one, spread["sensor"] * one, {}, spread["force"], lambda hz, rows, driven: None)
+    seen = np.tile(spread["seen"] * np.sqrt(np.mean(shapes[:, modes] ** 2, axis=0)), (m, 1))
+    return Day(idle, shapes, seen, modes, covariance, one, spread["sensor"] * one, {}, spread["force"], lambda hz, rows, driven: None)
 
 
 @dataclass(frozen=True)
@@ -93,16 +94,19 @@ class _Bare:
         shown = np.array(moved.phi, float)
         shown[:, modes] += between.across(between.own_parts(self.x.own[:, forward.n_shape :])["seen"])
         sensor, force = between.own["sensor"], between.shared["force"]
-        sensor_std = (std_own[:, forward.n_shape :] * between.own_spread)[:, sensor]
+        own_std = std_own[:, forward.n_shape :] * between.own_spread
+        seen = between.own["seen"]
+        seen_std = own_std[:, seen] if seen.stop > seen.start else np.zeros((len(own_std), modes.size))
         force_std = (std_d * between.shared_spread)[force]
         sensors, forces = self.gains()
         return Day(
             idle.with_terms(frequencies_hz=moved.f, damping_ratios=moved.zeta, shapes=moved.phi),
             shown,
+            between.across_std(seen_std),
             modes,
             self.covariance(),
             sensors,
-            np.sqrt(np.sum(sensor_std**2, axis=1)),
+            np.sqrt(np.sum(own_std[:, sensor] ** 2, axis=1)),
             dict(zip(forward.references.tolist(), forces.tolist(), strict=True)),
             float(np.sqrt(np.mean(force_std**2))) if force_std.size else 0.0,
             self.accelerance,

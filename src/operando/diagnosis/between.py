@@ -285,6 +285,11 @@ class Between:
         along = self.direction[dofs]
         return np.asarray(rows - np.sum(rows * along, axis=-1, keepdims=True) * along)
 
+    def across_std(self, std: Array) -> Array:
+        """Standard deviations of :meth:`across` of changes of all DOFs' shapes with standard deviations (DOFs, modes)."""
+        along = self.direction**2
+        return np.asarray(np.sqrt(np.maximum(std**2 * (1 - 2 * along) + along * np.sum(along * std**2, axis=1, keepdims=True), 0)))
+
     def own_parts(self, own: Array) -> dict[str, Array]:
         """Values by name, (DOFs, k); zeros for a part without unknowns."""
         dofs, m, references = len(self.idle.dofs), self.idle.modes.size, self.driven.size

@@ -26,6 +26,8 @@ class Day:
         Its frequencies, damping and shapes on that day.
     shown : (m, terms) array
         Shapes as the sensors show them, which were put back elsewhere and askew.
+    shown_std : (m, n) array
+        Their standard deviations in the n modes of the band, beside a gain.
     modes : (n,) array
         Terms of the idle model in the band.
     covariance : (2n, 2n) array
@@ -42,6 +44,7 @@ class Day:
 
     idle: ModalModel
     shown: Real
+    shown_std: Real
     modes: NDArray[np.int_]
     covariance: Real
     sensor_gains: Real

@@ -107,20 +107,23 @@ def std_of(tried: Tried, day: Day | None = None) -> dict[str, float]:
 
 
 def of_gains(tried: Tried, day: Day, names: Sequence[str]) -> Real:
-    """Relative standard deviations of values that come from gains of motion and force alone.
+    """Relative standard deviations of values that come from gains of motion and force, and from shapes as sensors show them.
 
     A motion that is shown too large by a part makes a stiffness too small by it and a gap too large: the powers of metre and newton in
     the unit say which. Of the difference of two motions gains show the more, the smaller it is beside these.
     """
-    shown = across = 0.0
-    place = list(tried.spot.place)
+    place, b = np.array(tried.spot.place), tried.spot.b
+    by_gain, by_shape, power = np.zeros(place.size), np.zeros((place.size, day.modes.size)), 0.0
     for m in tried.spot.whole:
         run = m.along.run
-        at = [int(np.flatnonzero(run.rows == row)[0]) for row in place if row in run.rows]
-        moving = run.responses[at][:, run.lines] / run.omega**2
-        shown += float(np.sum((day.sensor_std[run.rows[at]] ** 2)[:, None] * np.abs(moving) ** 2))
-        across += float(np.sum(np.abs(tried.spot.b[run.rows[at]] @ moving) ** 2))
-    motion = np.sqrt(shown / max(across, 1e-300))
+        rows = [(k, int(np.flatnonzero(run.rows == row)[0])) for k, row in enumerate(place) if row in run.rows]
+        across = sum(b[place[k]] * run.responses[at, run.lines] for k, at in rows) / run.omega**4
+        for k, at in rows:
+            by_gain[k] += b[place[k]] * float(np.vdot(across, run.responses[at, run.lines]).real)
+            by_shape[k] += b[place[k]] * (run.moving[day.modes] @ np.conj(across)).real
+            power += b[place[k]] * float(np.vdot(across, run.responses[at, run.lines]).real)
+    shown = np.sum((day.sensor_std[place] * by_gain) ** 2) + np.sum((day.shown_std[place] * by_shape) ** 2)
+    motion = np.sqrt(shown) / max(power, 1e-300)
     units = {p.name: p.unit for p in tried.law.definition.parameters}
     of = np.array([powers(units.get(name, "")) for name in names], float).reshape(-1, 2)
     return np.asarray(np.hypot(of[:, 0] * motion, of[:, 1] * day.force_std))

@@ -54,6 +54,7 @@ class Run:
     lines: NDArray[np.int_]  # (L,)
     hz: Real
     kernel: Complex  # receptance kernels of the modes on these lines (n, L)
+    moving: Complex  # modal accelerations under the measured forces, on another day under all that act (n, L)
     error: Complex  # X − H0·F: what the idle model leaves, transients still in it (q, L)
     variance: Real  # E|error|² of each line: noise, and the idle model's own
     own: Real  # variance of H0·F that the covariance of the idle model leaves; 0 where it has none
@@ -79,7 +80,8 @@ class Run:
     def on(self, keep: NDArray[Any] | slice) -> Run:
         """The run on some of its lines."""
         some = {
-            name: getattr(self, name)[..., keep] for name in ("lines", "hz", "kernel", "error", "variance", "own", "nuisance", "beside")
+            name: getattr(self, name)[..., keep]
+            for name in ("lines", "hz", "kernel", "moving", "error", "variance", "own", "nuisance", "beside")
         }
         return replace(self, **some)
 
@@ -181,6 +183,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         lines,
         f,
         kernel,
+        moving,
         error,
         START_NOISE**2 * level + own,
         own,
