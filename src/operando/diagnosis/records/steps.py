@@ -29,7 +29,8 @@ TURNS, FIRST_TURNS, STILL_OPEN = 6, 2, 2.0
 """Turns in which law and motion are brought together; turns for all finalists, and how far from the best one is worth the others."""
 
 FLOOR, NEARLY = 3.0, 0.01
-"""Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do."""
+"""Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do. Another
+day leaves that below the noise: hysteresis was a saturating spring where noise was what came near (rotor 10350)."""
 
 WORTH = 1.2
 """Another place is worth its laws where what no force there explains is less than this part of what the best law so far leaves."""
@@ -111,7 +112,7 @@ def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], No
     further = compared([p for p in near[1:] if misfits[p] <= bound])
     spots, rough = spots + further[0], sorted(rough + further[1], key=lambda r: r[0])
     floor = min((s.free for s in spots), default=1.0)
-    simple = max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select))
+    simple = max(FLOOR * floor, NEARLY * (at_first or base_select))
     if at_first is not None and len(case.places) == 1 and rough and base_select <= simple and rough[0][0] > UNPROMISING * base_select:
         return SearchStep(case, near[0], base_select, base_validation, [])
     finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
