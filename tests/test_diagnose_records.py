@@ -92,7 +92,10 @@ def test_distortion_at_the_location_of_an_effect_is_suspicious(share, kind, susp
 
 @pytest.mark.parametrize("nonlinear", [True, False])
 def test_where_the_location_of_an_effect_is_distorted_the_records_are_looked_at(monkeypatch, nonlinear):
-    linear, seen = found("spring"), SimpleNamespace(nonlinear=("bilinear_stiffness",) * nonlinear, effects=(), equivalents=())
+    linear, seen = (
+        found("spring"),
+        SimpleNamespace(nonlinear=("bilinear_stiffness",) * nonlinear, effects=(), equivalents=(), verdict="partial"),
+    )
     monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: None)
     monkeypatch.setattr(from_records, "suspicion_at", lambda effects, check, idle_frf: "the response at 4+Z holds 5 times as much")
@@ -352,6 +355,17 @@ def test_linear_effects_do_not_explain_what_depends_on_the_level(monkeypatch, ti
     made = from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()["spring"])
     assert (made.verdict, made.effects) == (verdict, linear.effects)
     assert (verdict == "explained") == (made.reason is None)
+
+
+@pytest.mark.parametrize(("part", "verdict", "another"), [(0.9, "explained", False), (1.1, "explained", True), (0.9, "partial", True)])
+def test_records_that_the_idle_model_explains_leave_no_room_for_another_day(monkeypatch, part, verdict, another):
+    """A day fitted all the same takes part of the law (frame 10284); by ``ONE_DAY``."""
+    now, days = found("clearance"), []
+    ladder = (now.ladder[0], now.ladder[-1] | {"heldout_misfit": part * records_and_days.ONE_DAY})
+    monkeypatch.setattr(records_and_days, "diagnose_records", lambda *a, **k: replace(now, verdict=verdict, ladder=ladder))
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: days.append(1))
+    records_and_days.RecordsAndDays(STRIP.idle(), frfs("clearance"), ["run"]).look()
+    assert bool(days) == another
 
 
 def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():

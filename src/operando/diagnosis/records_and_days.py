@@ -26,6 +26,11 @@ DAYS = 2
 """Times that the day is found: beside what is known first, and beside what the records say then. The second time moved values by 0 to 6 %,
 less than a quarter of their standard deviations (clearance and saturating spring of ``benchmarks/hidden_effects``, 10300 and 10305)."""
 
+ONE_DAY = 2.0
+"""Reduced chi-square of the hold-out set up to which records that a force law explains with the idle model as it was leave no room for
+another day: 0.4 to 1.5 in nine measurements of one day; of 23 on two days a law was found in five, with 4.5 to 78. A day that is fitted all
+the same takes part of the law: a ratio of 0.174 ± 0.003 where 0.185 is hidden, 0.184 ± 0.001 without (frame 10284)."""
+
 SURE = ("explained", "no_misfit", "ambiguous")
 
 
@@ -64,7 +69,8 @@ class RecordsAndDays:
     def look(self) -> RecordsDiagnosis:
         """Against the idle model as it is, then as it is on the day of the lowest level's FRFs where these speak of another one."""
         seen = self.diagnosis()
-        return self.on_that_day(seen, linear_at(seen, chosen_run(self.check))) if self.check else seen
+        explained = seen.nonlinear and seen.verdict in SURE and seen.ladder[-1]["heldout_misfit"] < ONE_DAY
+        return self.on_that_day(seen, linear_at(seen, chosen_run(self.check))) if self.check and not explained else seen
 
     def on_that_day(self, seen: RecordsDiagnosis, effects: Sequence[Effect]) -> RecordsDiagnosis:
         """The day beside linear effects, then beside the mean springs and dampers of what the records say then, while they say more."""
