@@ -118,6 +118,13 @@ def test_decayed_hits_are_averaged_and_overlapping_ones_use_the_whole_record():
         "not used: block_seconds = 6; blocks are 3.5 s long, the time to the next hit or the end of the record"
     ]
     assert of_blocks(damped, 2.0) == of_blocks(ringing, None) == []
+    at_hits = [f.message for f in estimate_frf(damped, estimator="h1", overlap=0.5).findings if f.kind == "setting_unused"]
+    assert at_hits == ["not used: overlap = 0.5; blocks begin at the hits"]
+    off = estimate_frf(damped, estimator="h1", overlap=0.5, hits="off")
+    assert not any(f.kind == "setting_unused" for f in off.findings)
+    for share in (-0.1, 1.0):
+        with pytest.raises(DataError, match=f"overlap = {share:g} is no share of a block"):
+            estimate_frf(damped, estimator="h1", overlap=share)
     exact = sampled_accelerance(light, auto.frequencies_hz, FS, range(4), [0])
     forced = estimate_frf(ringing, band=(10, 160), estimator="h1")
     assert next(f for f in forced.findings if f.kind == "overlapping_hits").severity == "warning"

@@ -134,7 +134,9 @@ def estimate_frf(
     if block_seconds is not None and round(block_seconds * slowest) < LEAST_BLOCK:
         short = f"block_seconds = {block_seconds:g} is {block_seconds * slowest:.2g} samples at {slowest:g} Hz"
         raise DataError(f"{short}, expected {LEAST_BLOCK} or more", hint=f"give {LEAST_BLOCK / slowest:g} s or more")
-    overlap = None if overlap is None else number_of(overlap, "overlap", "give a share from 0 to below 1")
+    share = "give a share from 0 to below 1"
+    if overlap is not None and not 0 <= (overlap := number_of(overlap, "overlap", share)) < 1:
+        raise DataError(f"overlap = {overlap:g} is no share of a block", hint=share)
     quantities = {r.quantity for r in runs}
     if len(quantities) > 1:
         raise DataError(f"the runs measure different quantities: {', '.join(sorted(quantities))}", hint="estimate them apart")
@@ -184,7 +186,8 @@ def estimate_frf(
         else:
             estimates = [replace(e, findings=(*e.findings, *_hit_findings(c, False, e.exponential_window_rate))) for c, e in averaged]
             estimates = average_hits(estimates)
-            extra = [*few_averages(estimates), *_shorter_than_asked(block_seconds, length)]
+            at_hits = all(blocks is not None for (_, blocks, _), _ in averaged)
+            extra = [*few_averages(estimates), *_shorter_than_asked(block_seconds, length), *_without_overlap(overlap if at_hits else None)]
         estimates, unexcited = within_excited(estimates)
         return _finished(merge_runs(estimates, wanted), [*lost, *extra, *unexcited])
 
@@ -401,6 +404,13 @@ def _without_blocks(settings: dict[str, float | str | None]) -> list[Finding]:
     action = "give an estimator that averages over blocks, as h1: it may leak"
     consequence = "spacing of the lines, averages and variance are not those of such blocks"
     return [Finding("setting_unused", message, "warning", consequence=consequence, action=action)] if given else []
+
+
+def _without_overlap(overlap: float | None) -> list[Finding]:
+    """Says that an overlap is given and not used, because blocks begin at hits."""
+    message = f"not used: overlap = {overlap}; blocks begin at the hits"
+    action, consequence = 'leave overlap out, or set hits to "off"', "averages and variance are those of the hits"
+    return [] if overlap is None else [Finding("setting_unused", message, "warning", consequence=consequence, action=action)]
 
 
 def _shorter_than_asked(asked: float | None, used: float) -> list[Finding]:
