@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -16,7 +17,9 @@ from operando.data import Finding, Geometry
 from operando.pipeline import cache
 from operando.pipeline.cache import Kept, apart, in_model, load_stage, save_stage, stage_file
 from operando.pipeline.folder import HIDDEN, MODEL, adopt, results_folder
-from operando.results import Results
+from operando.pipeline.stages.diagnose import missing_physics
+from operando.pipeline.stages.work import Lacking
+from operando.results import CheckRun, Results
 from operando.store import load_results, save_results
 
 FRF, CHECK = stage_file("frf"), stage_file("compare")
@@ -237,3 +240,15 @@ def test_no_array_stands_twice_in_a_folder(tmp_path, monkeypatch):
     assert there(tmp_path / "out") == [MODEL]
     run(path, tmp_path / "out", until="compare", progress=lambda stage, message: messages.append(message))
     assert all(message.startswith("unchanged") for message in messages)
+
+
+@pytest.mark.parametrize(("state", "checked"), [("check", True), ("operating", False)])
+def test_a_measurement_compared_with_itself_is_no_diagnosis(frf, monkeypatch, state, checked):
+    """That idle model and operation do not differ says nothing where both are one measurement."""
+    monkeypatch.setattr("operando.pipeline.stages.diagnose.scaled", lambda *given: None)
+    same = Finding("same_data", f"the data of [{state}] are those of [idle]", "error", consequence="says nothing", action="name others")
+    check = [CheckRun("check", "", frf)] if checked else []
+    results = SimpleNamespace(idle="idle", check=check, operating="operating", findings=[same])
+    work = SimpleNamespace(results=results, analysis=SimpleNamespace(exclude_bands=()))
+    with pytest.raises(Lacking, match=rf"the data of \[{state}\] are those of \[idle\]: says nothing"):
+        missing_physics(work)

@@ -24,6 +24,9 @@ def missing_physics(work: Work) -> dict[str, Any]:
     runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     if not runs and results.operating is None:
         raise Lacking("there are neither validation FRFs nor operational modes")
+    used = "[check]" if runs else "[operating]"
+    if same := next((f for f in work.results.findings if f.kind == "same_data" and f.severity == "error" and used in f.message), None):
+        raise Lacking(f"{same.message}: {same.consequence}", hint=same.action)
     compared = results.comparison if runs and results.comparison is not None and "idle" in results.comparison["models"] else None
     findings: list[Finding] = []
     found = diagnose(
