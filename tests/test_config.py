@@ -86,6 +86,13 @@ def test_folder_and_bom_and_name(folder):
     assert test.operating
 
 
+@pytest.mark.parametrize(("scaling", "hint"), [("foo", None), ("eq14", "did you mean 'eq15'?")])
+def test_choices_are_listed_once(folder, scaling, hint):
+    with pytest.raises(ConfigError, match="expected one of auto, msf_all") as caught:
+        load_test(write(folder, FULL)).with_analysis(scaling=scaling)
+    assert caught.value.hint == hint
+
+
 @pytest.mark.parametrize("name", Analysis().to_dict())
 def test_every_setting_has_a_check(folder, name):
     with pytest.raises(ConfigError, match=r"\{\} is not allowed; expected .") as caught:

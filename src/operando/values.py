@@ -162,9 +162,10 @@ def keys_of(kind: Any, *path: int | str) -> dict[str, Any]:
 def choice(choices: tuple[str, ...], other: Mapping[str, str] | None = None) -> Expected:
     """One of the choices, in lower case."""
 
-    def hint(value: Any) -> str:
+    def hint(value: Any) -> str | None:
         text = str(value).lower()
-        return f"did you mean {other[text]!r}?" if other and text in other else nearest(text, choices)
+        near = [other[text]] if other and text in other else difflib.get_close_matches(text, choices, 1, 0.5)
+        return f"did you mean {near[0]!r}?" if near else None  # the choices are in the words
 
     return Expected(f"one of {', '.join(choices)}", lambda text: choices[choices.index(text.lower())], hint)
 
