@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -122,8 +124,6 @@ def test_difference_and_noise(frf, model):
 
 
 def test_unknown_units_are_said(frf):
-    from dataclasses import replace
-
     assert plots.plot_frf(replace(frf, si=False)["1+Z", "1+Z"]).get_ylabel() == "Accelerance [units of the file]"
 
 
@@ -143,7 +143,7 @@ def test_ofrf_has_its_band_in_magnitude_and_phase(model):
 # Identification.
 
 
-def test_symbols_of_the_stabilisation_diagram():
+def test_symbols_of_the_stabilisation_diagram(model):
     one = np.ones((2, 1))
     other = np.array([[1.0], [-1.0]])
     table = classify(
@@ -153,6 +153,11 @@ def test_symbols_of_the_stabilisation_diagram():
     axes = plots.plot_stabilization(select_modes(table, min_size=2), frf=None, harmonics_hz=[9.9])
     axes.set_ylim(9.0, 12.2)
     assert all(float(order).is_integer() for order in axes.get_yticks()), "there are no halves of a pole"
+    behind = replace(select_modes(table, min_size=2), indicator_hz=LINES, indicator=np.ones((1, LINES.size)))
+    for si, unit in ((True, "(m/s²)²/Hz"), (False, "units of the file squared per Hz")):
+        kept = replace(model, si=si, details=SimpleNamespace(stabilization=behind, harmonics_hz=()))
+        labels = [a.get_ylabel() for a in plots.plot_stabilization_of(kept).figure.axes]
+        assert f"First singular values [{unit}]" in labels
     told = words(axes)
     assert {"o  new pole", "s  all stable", "v  frequency and vector", "d  frequency and damping", "not physical"} <= set(told)
     assert any("Δf ≤ 1 %, Δζ ≤ 10 %, MAC ≥ 0.95" in t.get_text() for t in axes.texts)

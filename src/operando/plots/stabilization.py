@@ -197,7 +197,7 @@ def plot_stabilization_of(model: ModalModel, axes: Axes | None = None, *, frf: F
     if kept is None:
         raise DataError("the model keeps no stabilisation diagram", hint="those of fit_ema and fit_oma do")
     harmonics = getattr(model.details, "harmonics_hz", None)
-    name = "Mode indicator (CMIF)" if harmonics is None else "First singular values of the spectra"
+    name = "Mode indicator (CMIF)" if harmonics is None else f"First singular values [{spectra_unit(model)}]"
     return plot_stabilization(
         kept, axes, frf=frf, band=model.band_hz, modes_hz=model.frequencies_hz, indicator_name=name,
         harmonics_hz=() if harmonics is None else [float(h) for h in harmonics],
@@ -298,6 +298,11 @@ def _mmif(axes: Axes, hz: NDArray[np.float64], values: NDArray[np.float64]) -> N
     for k, row in enumerate(values[:3]):
         keep = thin(hz, row, 600)
         place.plot(hz[keep], row[keep], color=GREEN, lw=0.7 if k == 0 else 0.5, ls=(0, (1, 1)), alpha=0.8)
+
+
+def spectra_unit(model: ModalModel) -> str:
+    """Of the singular values of the spectra that operational modes are identified from."""
+    return "(m/s²)²/Hz" if model.si else "units of the file squared per Hz"
 
 
 def plot_singular_values(

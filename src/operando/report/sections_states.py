@@ -10,6 +10,7 @@ from markupsafe import Markup
 from operando.compare import clear_lines, rms_over
 from operando.contrib import library_rows
 from operando.data import Frf, ModalModel, phase_collinearity
+from operando.plots.stabilization import spectra_unit
 from operando.report import derive, figures_frf, figures_stabilization, live
 from operando.report.parts import Numbering, hz_list
 from operando.results import Results
@@ -46,9 +47,8 @@ def operating(results: Results, page: Numbering) -> dict[str, Any]:
     if model is None:
         return out
     if (spectra := getattr(model.details, "spectra", None)) is not None:
-        unit = "(m/s²)²/Hz" if model.si else "units of the file squared per Hz"
         out["singular"] = figures_stabilization.singular_values(
-            spectra.frequencies_hz, spectra.singular_values, out["band"], model.frequencies_hz, out["harmonics"], unit
+            spectra.frequencies_hz, spectra.singular_values, out["band"], model.frequencies_hz, out["harmonics"], spectra_unit(model)
         )
     given = tuple(getattr(model.details, "setups", ()) or ())
     used = [s for s in given if not s.failed]
@@ -97,7 +97,7 @@ def _identified(results: Results, model: ModalModel | None, which: str) -> dict[
 
 def _diagram(results: Results, model: ModalModel, stabilization: Any, band: Any, which: str) -> Markup:
     harmonics = _harmonics(results) if which == "operating" else []
-    name = "First singular values of the spectra" if which == "operating" else "Mode indicator (CMIF)"
+    name = f"First singular values [{spectra_unit(model)}]" if which == "operating" else "Mode indicator (CMIF)"
     return figures_stabilization.stabilization_diagram(stabilization, band, model.frequencies_hz, harmonics, name)
 
 
