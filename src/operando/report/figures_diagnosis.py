@@ -59,7 +59,7 @@ def steps_figure(ladder: ErrorByStep, verdict: str, grade: str) -> tuple[Figure,
     for i, v in enumerate(values):
         axes.annotate(
             ladder.text(v), (i, _clear_of(v, rows[i].everything if lines else np.nan, axes)), (0, 5), textcoords="offset points",
-            ha="center", fontsize=11, fontweight="bold", zorder=5,
+            ha="center", fontsize=11, fontweight="bold", zorder=5, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
         )  # fmt: skip
     for i in range(1, n):
         _fall(axes, i, values[i - 1], values[i], ladder)
