@@ -246,9 +246,9 @@ def test_no_array_stands_twice_in_a_folder(tmp_path, monkeypatch):
 def test_a_measurement_compared_with_itself_is_no_diagnosis(frf, monkeypatch, state, checked):
     """That idle model and operation do not differ says nothing where both are one measurement."""
     monkeypatch.setattr("operando.pipeline.stages.diagnose.scaled", lambda *given: None)
-    same = Finding("same_data", f"the data of [{state}] are those of [idle]", "error", consequence="says nothing", action="name others")
+    inventory = [{"file": "a.uff", "sha256": "1", "used_for": f"idle, {state}"}]
     check = [CheckRun("check", "", frf)] if checked else []
-    results = SimpleNamespace(idle="idle", check=check, operating="operating", findings=[same])
+    results = SimpleNamespace(idle="idle", check=check, operating="operating", findings=[], inventory=inventory)
     work = SimpleNamespace(results=results, analysis=SimpleNamespace(exclude_bands=()))
-    with pytest.raises(Lacking, match=rf"the data of \[{state}\] are those of \[idle\]: says nothing"):
+    with pytest.raises(Lacking, match=rf"the data of \[{state}\] are those of \[idle\]: one measurement is compared with itself"):
         missing_physics(work)

@@ -7,6 +7,7 @@ from typing import Any
 
 from operando.data import Finding
 from operando.pipeline.stages.estimate import whole_records
+from operando.pipeline.stages.files import ITSELF, data_twice
 from operando.pipeline.stages.scale import scaled
 from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed
 
@@ -24,9 +25,9 @@ def missing_physics(work: Work) -> dict[str, Any]:
     runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     if not runs and results.operating is None:
         raise Lacking("there are neither validation FRFs nor operational modes")
-    used = "[check]" if runs else "[operating]"
-    if same := next((f for f in work.results.findings if f.kind == "same_data" and f.severity == "error" and used in f.message), None):
-        raise Lacking(f"{same.message}: {same.consequence}", hint=same.action)
+    used = "check" if runs else "operating"
+    if any({one, other} == {"idle", used} for (one, _), (other, _) in data_twice(results.inventory)):
+        raise Lacking(f"the data of [{used}] are those of [idle]: {ITSELF}", hint="name in each section the files measured in that state")
     compared = results.comparison if runs and results.comparison is not None and "idle" in results.comparison["models"] else None
     findings: list[Finding] = []
     found = diagnose(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -33,17 +33,26 @@ def inspect_files(work: Work) -> dict[str, Any]:
     return {"inventory": inventory, "raw": work.inputs.raw, "geometry": geometry, "findings": findings}
 
 
-def _same_data(inventory: Sequence[dict[str, Any]]) -> list[Finding]:
-    """Files (or overlapping parts of one) of the same content that stand for two measurements; operating and check may share theirs."""
+ITSELF = "one measurement is compared with itself: that nothing differs says nothing of operation"
+
+
+def data_twice(inventory: Sequence[dict[str, Any]]) -> Iterator[tuple[tuple[str, dict[str, Any]], tuple[str, dict[str, Any]]]]:
+    """Files (or overlapping parts of one) of the same content that stand for two measurements: section and row of each."""
     uses: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     for row in inventory:
         for state in row["used_for"].split(", "):
             uses.setdefault(row["sha256"], []).append((state, row))
+    for first, second in (pair for same in uses.values() for pair in combinations(same, 2)):
+        rows = [row for _, row in (first, second)]
+        end = min(float("inf") if row.get("stop_s") is None else row["stop_s"] for row in rows)
+        if max(row.get("start_s") or 0.0 for row in rows) < end and "geometry" not in (first[0], second[0]):
+            yield first, second
+
+
+def _same_data(inventory: Sequence[dict[str, Any]]) -> list[Finding]:
+    """What :func:`data_twice` comes to; operating and check may share theirs."""
     out = []
-    for (one, a), (other, b) in (pair for same in uses.values() for pair in combinations(same, 2)):
-        ends = [float("inf") if row.get("stop_s") is None else row["stop_s"] for row in (a, b)]
-        if max(row.get("start_s") or 0.0 for row in (a, b)) >= min(ends) or "geometry" in (one, other):
-            continue
+    for (one, a), (other, b) in data_twice(inventory):
         file = b["file"]
         if one == other:
             consequence = "they count as two measurements: too many averages, intervals too narrow"
@@ -51,7 +60,6 @@ def _same_data(inventory: Sequence[dict[str, Any]]) -> list[Finding]:
             out.append(Finding("same_data", message, "warning", file=file, consequence=consequence, action=action))
         elif "idle" in (one, other):
             message = f"the data of [{other}] are those of [{one}]" + ("" if a is b else f" in {a['file']}")
-            consequence = "one measurement is compared with itself: that nothing differs says nothing of operation"
             action = "name in each section the files measured in that state"
-            out.append(Finding("same_data", message, "error", file=file, consequence=consequence, action=action))
+            out.append(Finding("same_data", message, "error", file=file, consequence=ITSELF, action=action))
     return out
