@@ -131,6 +131,25 @@ def test_records_in_which_nothing_depends_on_the_level_are_not_searched_for_a_la
     assert any("at least" in note for note in made.notes) == (share != 0.9)
 
 
+@pytest.mark.parametrize(("count", "share", "looked"), [(1, 1.5, False), (2, 1.5, True), (2, 0.9, False)])
+def test_records_are_searched_where_two_responses_hold_more_than_at_rest(monkeypatch, count, share, looked):
+    """Linear effects explain nothing, and levels agree; what one response alone holds is its sensor's (``DISTORTION``)."""
+    looks = []
+    seen = SimpleNamespace(nonlinear=(), effects=(), equivalents=(), verdict="no_misfit", detection={"location": ["3+Z"]})
+    monkeypatch.setattr(records_and_days, "diagnose_records", lambda *a, **k: looks.append(1) or seen)
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
+    monkeypatch.setattr(from_records, "measured_distortion", lambda *a: 1.0)
+    (run,) = frfs("none")
+    keys = [dof.key for dof in run.frf.responses]
+    factor = np.ones((len(keys), 1, 1))
+    factor[:count, 0, 0] = [share * DISTORTION / beyond_rest([run], at_rest())[0][key] for key in keys[:count]]
+    loud = replace(run, frf=replace(run.frf, variance=factor * run.frf.variance))
+    assert suspicion([loud], at_rest()) is None
+    linear = replace(found("spring"), verdict="unexplained", effects=(), model=None)
+    from_records.diagnose_levels(lambda: linear, STRIP.idle(), [loud], records()["none"], idle_frf=at_rest())
+    assert bool(looks) is looked
+
+
 def test_a_clearance_is_found_from_the_records():
     made = found("clearance")
     assert [e.kind for e in made.effects] == ["clearance"]

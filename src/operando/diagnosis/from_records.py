@@ -14,7 +14,7 @@ from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, measure
 from operando.diagnosis.records_and_days import SURE, RecordsAndDays, linear_at
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
-from operando.diagnosis.suspicion import DISTORTION, FAINT, beyond_rest, suspicion, suspicion_at
+from operando.diagnosis.suspicion import FAINT, distorted_at_two, suspicion, suspicion_at
 from operando.errors import MissingError, OperandoError
 from operando.results import CheckRun
 from operando.structure import LinearEquivalent, has_restoring_force, linear_effects
@@ -112,7 +112,7 @@ def diagnose_levels(
             found = replace(found, verdict=left, reason=f"{reason}, and no effect found so far says why")
         return found
     # Where nothing of the records depends on the level, no law of theirs says what linear effects do not.
-    quiet = times is not None and all(run and max(run.values()) <= DISTORTION for run in beyond_rest(check, idle_frf))
+    quiet = times is not None and not distorted_at_two(check, idle_frf)
     if found.verdict in SURE or unused or quiet:
         return found
     try:
