@@ -218,10 +218,21 @@ def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, 
     assert any(said in note for note in made.notes)
 
 
-@pytest.mark.parametrize("of_laws", [(3,), (1, 3)])
-def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws):
-    """Any force explains most between two DOFs, the best law of one displacement is at the second: what remembers is tried at both."""
-    spots = {place: SimpleNamespace(place=place, free=1.0, fit=[], select=[], validation=[]) for place in ((1, 3), (3,))}
+@pytest.mark.parametrize(
+    ("of_laws", "left", "free", "tried"),
+    [
+        ((3,), 20.0, 1.0, True),
+        ((1, 3), 20.0, 1.0, True),
+        ((1, 3), 1.1 * steps.FLOOR * 0.3, 0.3, True),
+        ((1, 3), 0.9 * steps.FLOOR * 0.3, 0.3, False),
+    ],
+)
+def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws, left, free, tried):
+    """Any force explains most between two DOFs, the best law of one displacement is at the second: what remembers is tried at both.
+
+    By ``FLOOR``, where any force leaves less than noise as well.
+    """
+    spots = {place: SimpleNamespace(place=place, free=free, fit=[], select=[], validation=[]) for place in ((1, 3), (3,))}
     laws, walked = {}, []
 
     def fit_law(motions, kind):
@@ -229,10 +240,10 @@ def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws)
         return steps.ForceLaw(kind, {}, 1.0)
 
     def settle_law(spot, law, turns=0):
-        return steps.Tried(spot, law, 5.0 if law.kind == "hysteresis" else laws[spot.place], 1.0)
+        return steps.Tried(spot, law, left / 4 if law.kind == "hysteresis" else laws[spot.place], 1.0)
 
     def roughly(spot, kind, side):
-        laws[spot.place] = 20.0 if spot.place == of_laws else 30.0
+        laws[spot.place] = left if spot.place == of_laws else 1.5 * left
         return laws[spot.place], spot, steps.ForceLaw(kind, {}, side)
 
     monkeypatch.setattr(steps, "rank_places", lambda case, places, say=None: [(1.0, (1, 3)), (1.01, (3,))])
@@ -244,9 +255,9 @@ def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws)
         monkeypatch.setattr(steps, name, stub)
     case = SimpleNamespace(places=((1, 3), (3,)))
     made = steps.search_step(case, ("cubic_stiffness", "hysteresis"), None, 1.0)
-    assert set(walked) == {(1, 3), of_laws}
+    assert set(walked) == ({(1, 3), of_laws} if tried else set())
     assert len(walked) == len(set(walked))
-    assert made.tried[0].law.kind == "hysteresis"
+    assert (made.tried[0].law.kind == "hysteresis") == tried
 
 
 def remounted(record, sensor, force):

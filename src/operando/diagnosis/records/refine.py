@@ -113,7 +113,7 @@ def of_gains(tried: Tried, day: Day, names: Sequence[str]) -> Real:
     the unit say which. Of the difference of two motions gains show the more, the smaller it is beside these.
     """
     place, b = np.array(tried.spot.place), tried.spot.b
-    by_gain, by_shape, power = np.zeros(place.size), np.zeros((place.size, day.modes.size)), 0.0
+    by_gain, by_shape = np.zeros(place.size), np.zeros((place.size, day.modes.size))
     for m in tried.spot.whole:
         run = m.along.run
         rows = [(k, int(np.flatnonzero(run.rows == row)[0])) for k, row in enumerate(place) if row in run.rows]
@@ -121,9 +121,8 @@ def of_gains(tried: Tried, day: Day, names: Sequence[str]) -> Real:
         for k, at in rows:
             by_gain[k] += b[place[k]] * float(np.vdot(across, run.responses[at, run.lines]).real)
             by_shape[k] += b[place[k]] * (run.moving[day.modes] @ np.conj(across)).real
-            power += b[place[k]] * float(np.vdot(across, run.responses[at, run.lines]).real)
     shown = np.sum((day.sensor_std[place] * by_gain) ** 2) + np.sum((day.shown_std[place] * by_shape) ** 2)
-    motion = np.sqrt(shown) / max(power, 1e-300)
+    motion = np.sqrt(shown) / max(float(np.sum(by_gain)), 1e-300)
     units = {p.name: p.unit for p in tried.law.definition.parameters}
     of = np.array([powers(units.get(name, "")) for name in names], float).reshape(-1, 2)
     return np.asarray(np.hypot(of[:, 0] * motion, of[:, 1] * day.force_std))
