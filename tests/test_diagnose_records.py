@@ -13,8 +13,8 @@ import pytest
 
 from operando.diagnosis import another_day, diagnose, from_records, records_and_days
 from operando.diagnosis.from_records import standing
-from operando.diagnosis.records import steps
-from operando.diagnosis.suspicion import DISTORTION, FAINT, beyond_rest, suspicion, suspicion_at
+from operando.diagnosis.records import Detection, steps
+from operando.diagnosis.suspicion import DISTORTION, FAINT, LOUDEST, beyond_rest, suspicion, suspicion_at
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
 from operando.structure.effects import Effect
@@ -62,7 +62,8 @@ def test_distortion_is_suspicious_even_where_levels_agree():
 def test_distortion_at_some_responses_is_suspicious_and_at_one_it_is_not():
     (run,) = frfs("none")
     assert len(run.frf.responses) == 8
-    for count, suspicious in ((3, True), (1, False)):
+    loudest = int((1 - LOUDEST) * 8)
+    for count, suspicious in ((loudest + 1, True), (loudest - 1, False)):
         factor = np.ones((8, 1, 1))
         factor[:count] = 4 * DISTORTION
         loud = replace(run, frf=replace(run.frf, variance=factor * run.frf.variance))
@@ -135,7 +136,7 @@ def test_records_in_which_nothing_depends_on_the_level_are_not_searched_for_a_la
 def test_records_are_searched_where_two_responses_hold_more_than_at_rest(monkeypatch, count, share, looked):
     """Linear effects explain nothing, and levels agree; what one response alone holds is its sensor's (``DISTORTION``)."""
     looks = []
-    seen = SimpleNamespace(nonlinear=(), effects=(), equivalents=(), verdict="no_misfit", detection={"location": ["3+Z"]})
+    seen = SimpleNamespace(nonlinear=(), effects=(), equivalents=(), verdict="no_misfit", detection=Detection(location=("3+Z",)))
     monkeypatch.setattr(records_and_days, "diagnose_records", lambda *a, **k: looks.append(1) or seen)
     monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
     monkeypatch.setattr(from_records, "measured_distortion", lambda *a: 1.0)
@@ -360,7 +361,7 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
     monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
     law = found("clearance")
     asked = []
-    assert law.detection["location"] == ["5+Z"]
+    assert law.detection.location == ("5+Z",)
 
     def looked(idle, records, day=None, **options):
         asked.append(day)

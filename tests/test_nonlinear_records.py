@@ -91,10 +91,10 @@ def test_the_ladder_falls_on_the_level_that_nothing_was_fitted_to():
 
 
 def test_levels_are_compared_before_anything_is_named():
-    assert found("cubic").detection["level_dependent"]
-    assert found("coulomb").detection["level_dependent"]
-    assert not found("spring").detection["level_dependent"]
-    assert not found("none").detection["level_dependent"]
+    assert found("cubic").detection.level_dependent
+    assert found("coulomb").detection.level_dependent
+    assert not found("spring").detection.level_dependent
+    assert not found("none").detection.level_dependent
 
 
 def test_levels_of_a_linear_structure_leave_the_same_share():

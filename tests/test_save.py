@@ -19,6 +19,7 @@ from operando import contrib
 from operando.data import Channel, Geometry, ModalModel, Provenance, ResidualTerms, TimeRecord
 from operando.data.objects import Noun, Short
 from operando.diagnosis import Diagnosis, RecordsApplied, RecordsDiagnosis
+from operando.diagnosis.records import Detection
 from operando.dof import Dof
 
 HZ = np.arange(5.0, 80.0, 0.1)
@@ -143,7 +144,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Diagnosis": diagnosed,
     "Diagnosis by hand": lambda: by_hand(Diagnosis),
     "Applied": lambda: operando.apply_effects(plain(), SPRING, check=running()),
-    "RecordsDiagnosis": lambda: by_hand(RecordsDiagnosis, detection={"level_db": (1.0, np.nan)}),
+    "RecordsDiagnosis": lambda: by_hand(RecordsDiagnosis, detection=Detection((1.0, np.nan), location=("3+Z",))),
     "RecordsApplied": lambda: by_hand(RecordsApplied, better=((1, SPRING, 2.5),)),
     "LoopFit": loop,
     "SingleFit": single,

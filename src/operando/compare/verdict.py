@@ -11,6 +11,9 @@ GOOD = 1.5
 PARTLY = 0.8
 """Part of the idle model's chi-square that the effects of ``partial`` explain (contract)."""
 
+SURE = ("explained", "no_misfit", "ambiguous")
+"""Verdicts that leave nothing to be explained."""
+
 FLOOR_DB = 3.0
 """Noise floor above which dB have no meaning: FRFs that are known to a factor of √2 only. Of records by level, whose diagnosis states no
 sizes that would have been found, nothing can be said to be missing or not above it."""

@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from operando.compare.verdict import SURE
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnosis.another_day import between_beside
 from operando.diagnosis.at_level import level_picture
 from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, measured_distortion
-from operando.diagnosis.records_and_days import SURE, RecordsAndDays, linear_at
+from operando.diagnosis.records_and_days import RecordsAndDays, linear_at
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
 from operando.diagnosis.suspicion import FAINT, distorted_at_two, suspicion, suspicion_at

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from operando.compare.verdict import SURE
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
 from operando.diagnosis.another_day import day_of, usual_day
 from operando.diagnosis.arguments import chosen_run
@@ -30,8 +31,6 @@ ONE_DAY = 2.0
 """Reduced chi-square of the hold-out set up to which records that a force law explains with the idle model as it was leave no room for
 another day: 0.4 to 1.5 in nine measurements of one day; of 23 on two days a law was found in five, with 4.5 to 78. A day that is fitted all
 the same takes part of the law: a ratio of 0.174 ± 0.003 where 0.185 is hidden, 0.184 ± 0.001 without (frame 10284)."""
-
-SURE = ("explained", "no_misfit", "ambiguous")
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class RecordsAndDays:
                     break
                 # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
                 if not (seen.nonlinear or other.nonlinear):
-                    other = beside(spring_and_damper(other.detection["location"], self.band or self.idle.band_hz)) or other
+                    other = beside(spring_and_damper(other.detection.location, self.band or self.idle.band_hz)) or other
                 if not (seen.nonlinear or other.nonlinear):
                     other = on(usual_day(self.idle, self.between or {}), OF_ANY_DAY)
             except OperandoError as error:

@@ -8,6 +8,7 @@ from operando.diagnosis.records.case import RecordsCase, Sets, contradicted, mak
 from operando.diagnosis.records.closed_loop import closed_loop_force, followed, groups, loop_for, recorded
 from operando.diagnosis.records.conclude import DISCREPANCY, conclude, too_fast
 from operando.diagnosis.records.day import Day
+from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.diagnose import diagnose_records, measured_distortion
 from operando.diagnosis.records.fit_laws import fit_law, linear_law
 from operando.diagnosis.records.refine import refined, std_of, stepped
@@ -19,6 +20,7 @@ from operando.diagnosis.records.surface import parity
 __all__ = [
     "DISCREPANCY",
     "Day",
+    "Detection",
     "RecordsApplied",
     "RecordsCase",
     "RecordsDiagnosis",

@@ -11,6 +11,7 @@ from operando.compare.verdict import GOOD, floor_reason, verdict_of
 from operando.data import Geometry
 from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.closed_loop import against_records
+from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.fit_laws import free_law
 from operando.diagnosis.records.hold_out import Discrepancy, judged_on, step_row, where_it_fails
 from operando.diagnosis.records.place import Weighted
@@ -78,7 +79,7 @@ def conclude(
     steps: list[SearchStep],
     accepted: list[Tried],
     more: str | None,
-    detection: dict[str, Any],
+    detection: Detection,
     geometry: Geometry | None,
 ) -> RecordsDiagnosis:
     """Verdict, errors by step and words; ``more``: why something may be missing still."""

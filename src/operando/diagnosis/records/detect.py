@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,38 @@ SURELY = 4.0
 
 BLOCK_SECONDS = 4.0
 """Length of the Hann blocks for coherence and levels."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What the records say before anything is named.
+
+    Parameters
+    ----------
+    levels_n : tuple of float
+        Force levels [N rms], lowest first.
+    coherence : tuple of float
+        At each level, the mean over responses and lines.
+    inhomogeneity : float or None
+        Mean square difference between the best linear approximations of two levels over its variance (1: one linear system).
+    distortion : float or None
+        As of :func:`distortion`.
+    level_dependent : bool or None
+        Whether the levels differ; a bilinear stiffness scales with the level and does not show here.
+    location : tuple of str
+        The DOFs at which any force explains most.
+    """
+
+    levels_n: tuple[float, ...] = ()
+    coherence: tuple[float, ...] = ()
+    inhomogeneity: float | None = None
+    distortion: float | None = None
+    level_dependent: bool | None = None
+    location: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """``detection`` of ``diagnosis.json``."""
+        return asdict(self)
 
 
 def best_linear(run: Run) -> tuple[Complex, Real, Real]:
@@ -45,13 +78,8 @@ def best_linear(run: Run) -> tuple[Complex, Real, Real]:
     return h, rest / sff / count, 1 - rest / np.maximum(np.mean(np.abs(x) ** 2, axis=0), 1e-300)
 
 
-def detect(case: RecordsCase) -> dict[str, Any]:
-    """What the records say before anything is named.
-
-    ``levels_n`` force levels [N rms]; ``inhomogeneity``: mean square difference between the best linear approximations of two levels over
-    its variance (1: one linear system); ``distortion`` as of that function; ``coherence`` (mean over responses and lines, lowest and
-    highest level); ``level_dependent``: whether the levels differ; a bilinear stiffness scales with the level and does not show here.
-    """
+def detect(case: RecordsCase) -> Detection:
+    """What the records say before anything is named, without the location."""
     worst, coherences = float("nan"), []
     for runs in case.by_reference():
         estimates = [best_linear(run) for run in runs]
@@ -61,13 +89,14 @@ def detect(case: RecordsCase) -> dict[str, Any]:
             if one[0].shape == two[0].shape:
                 worst = float(np.nanmax([worst, np.mean(np.abs(one[0] - two[0]) ** 2 / (one[1] + two[1]))]))
     coherences.sort()
-    return {
-        "levels_n": [float(level) for level, _ in coherences],
-        "coherence": [c for _, c in coherences],
-        "inhomogeneity": worst if np.isfinite(worst) else None,
-        "distortion": distortion(case),
-        "level_dependent": bool(worst > 2.0) if np.isfinite(worst) else None,
-    }
+    finite = bool(np.isfinite(worst))
+    return Detection(
+        tuple(float(level) for level, _ in coherences),
+        tuple(c for _, c in coherences),
+        worst if finite else None,
+        distortion(case),
+        worst > 2.0 if finite else None,
+    )
 
 
 def distortion(case: RecordsCase) -> float | None:

@@ -119,7 +119,6 @@ def wanted_kinds(kinds: Sequence[str] | None) -> list[str]:
 
 def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, say: Callable[[str], None] | None) -> RecordsDiagnosis:
     first = case
-    detection = detect(case)
     steps: list[SearchStep] = []
     accepted: list[Tried] = []
     more: str | None = None
@@ -142,5 +141,5 @@ def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, sa
             case = replace(case, places=(best.spot.place,))
         if say:
             say(f"{best.law.kind} accepted, look for more")
-    detection["location"] = [str(first.idle.dofs[i]) for i in steps[0].place]
+    detection = replace(detect(first), location=tuple(str(first.idle.dofs[i]) for i in steps[0].place))
     return conclude(first, steps, accepted, more, detection, geometry)

@@ -8,6 +8,7 @@ from typing import Any
 
 from operando.data import Geometry, ModalModel
 from operando.diagnosis.applied import Applied
+from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.result import Diagnosis
 from operando.structure import Model
 from operando.structure.effects import Effect
@@ -23,15 +24,15 @@ class RecordsDiagnosis(Diagnosis):
 
     Parameters
     ----------
-    detection : dict
-        What was seen before anything was named: homogeneity over levels, distortion, coherence, the location where any force explains most.
+    detection : Detection
+        What was seen before anything was named.
     simulation : dict
         The model with its effects in the closed loop against the validation records.
     equivalents : tuple of tuple of LinearEquivalent
         For each effect the spring and damper it is equivalent to at each level; empty for a linear one.
     """
 
-    detection: dict[str, Any] = field(default_factory=dict)
+    detection: Detection = field(default_factory=Detection)
     simulation: dict[str, Any] = field(default_factory=dict)
     equivalents: Equivalents = ()
 
@@ -43,7 +44,7 @@ class RecordsDiagnosis(Diagnosis):
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``, with ``detection``, ``simulation`` and the equivalents of level-dependent effects beside."""
         effects = stated(self.effects, self.equivalents)
-        return super().to_dict() | {"effects": effects, "detection": self.detection, "simulation": self.simulation}
+        return super().to_dict() | {"effects": effects, "detection": self.detection.to_dict(), "simulation": self.simulation}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
