@@ -330,12 +330,15 @@ def test_a_day_shows_what_its_sensors_show():
     first = with_gains("none")[0]
     np.testing.assert_allclose(day.corrected(first).data[first.response_indices[0]] * sensor[0], first.data[first.response_indices[0]])
     assert day.seen(hz, rows, (0,)) is None
+    # A law is another spring under each force, and the FRFs are fitted with one for all: each record finds the modes again.
+    np.testing.assert_array_equal(day.covariance, another_day.usual_day(idle, options["between"]).covariance)
     assert another_day.day_of(idle, (), frfs("none")[0], **options | {"between": None}) is None
 
 
 @pytest.mark.parametrize("another", [True, False])
 def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypatch, another):
     """FRFs of a structure with dry friction give a day that stands for the friction (rotor 10332 of the benchmark)."""
+    law = found("clearance")
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: "of FRFs" if another else None)
@@ -344,7 +347,7 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
 
     def looked(idle, records, day=None, **options):
         asked.append(day)
-        now = found("clearance")
+        now = law
         return now if isinstance(day, tuple) else replace(now, verdict="unexplained", effects=(), equivalents=(), notes=())
 
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
@@ -356,10 +359,10 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
 
 def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it_acts(monkeypatch):
     """FRFs of the lowest level hold the mean spring and damper of a law, and a day beside nothing takes them (frame 10333)."""
+    law = found("clearance")
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
-    law = found("clearance")
     asked = []
     assert law.detection.location == ("5+Z",)
 
@@ -418,7 +421,7 @@ def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():
 )
 def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, verdict, error_db, taken):
     """First a law beside which 0.5 dB are left, `partial`; then with the day of the lowest level beside its mean spring."""
-    mean = Effect("ground_spring", ("5+Z",), {"stiffness": 2e3})
+    now, mean = found("clearance"), Effect("ground_spring", ("5+Z",), {"stiffness": 2e3})
     monkeypatch.setattr(records_and_days, "linear_at", lambda seen, run: [mean])
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
@@ -429,7 +432,6 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
         return "the day"
 
     def looked(idle, records, day=None, **options):
-        now = found("clearance")
         if day is None:
             return replace(now, verdict="partial", ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": 0.5}), notes=())
         assert day == "the day"

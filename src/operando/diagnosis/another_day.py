@@ -23,9 +23,6 @@ from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
 
-_STEP = 1e-3
-"""Of an unknown, in its prior standard deviation, for a difference quotient: frequencies and damping are smooth in it."""
-
 
 def day_of(
     idle: ModalModel, effects: Sequence[Effect], run: CheckRun, progress: Callable[[str], None] | None = None, **options: Any
@@ -38,7 +35,8 @@ def day_of(
     """
     with one_blas_thread():
         state = _beside(idle, effects, run, progress, may_strain=True, **options)
-        return _Bare(state, replace(state.x, u=np.zeros(0), terms=())).day(idle) if between_rows(state) else None
+        bare = _Bare(state, replace(state.x, u=np.zeros(0), terms=()))
+        return bare.day(idle, spreads_of(options["between"] or {})) if between_rows(state) else None
 
 
 def between_beside(
@@ -66,15 +64,19 @@ def usual_day(idle: ModalModel, between: Mapping[str, float]) -> Day:
     """
     spread = spreads_of(between)
     modes, m = np.arange(idle.frequencies_hz.size), len(idle.dofs)
-
-    def of_modes(whole: float, each: float) -> Array:
-        return whole**2 + each**2 * np.eye(modes.size)
-
-    frequency = of_modes(spread["stiffness"] / 2, spread["mode"])
-    covariance = block_diag(frequency, of_modes(spread["damping_whole"], spread["damping"]))
     shapes, one = np.asarray(idle.terms.shapes, float), np.ones(m)
     seen = np.tile(spread["seen"] * np.sqrt(np.mean(shapes[:, modes] ** 2, axis=0)), (m, 1))
+    covariance = _usual(modes.size, spread)
     return Day(idle, shapes, seen, modes, covariance, one, spread["sensor"] * one, {}, spread["force"], lambda hz, rows, driven: None)
+
+
+def _usual(n: int, spread: Mapping[str, float]) -> Array:
+    """Covariance of ln f, then of ln ζ, of n modes (2n, 2n) as between two days in laboratories."""
+
+    def of_modes(whole: float, each: float) -> Array:
+        return whole**2 + each**2 * np.eye(n)
+
+    return block_diag(of_modes(spread["stiffness"] / 2, spread["mode"]), of_modes(spread["damping_whole"], spread["damping"]))
 
 
 @dataclass(frozen=True)
@@ -84,8 +86,13 @@ class _Bare:
     state: State
     x: Point
 
-    def day(self, idle: ModalModel) -> Day | None:
-        """The idle model on that day; None where it has other terms or DOFs."""
+    def day(self, idle: ModalModel, spread: Mapping[str, float]) -> Day | None:
+        """The idle model on that day; None where it has other terms or DOFs.
+
+        A law is another spring and damper under each force, and the FRFs are fitted with one for all: each record finds the modes again, by
+        what days differ in. With what the FRFs alone leave open hysteresis was lost or took what the day was taken to differ in (rotor
+        10350, frame 10356).
+        """
         forward = self.state.case.forward
         moved, modes = forward.moved(self.x), np.asarray(forward.modes)
         if moved.phi.shape != idle.terms.shapes.shape:
@@ -104,7 +111,7 @@ class _Bare:
             shown,
             between.across_std(seen_std),
             modes,
-            self.covariance(),
+            _usual(modes.size, spread),
             sensors,
             np.sqrt(np.sum(own_std[:, sensor] ** 2, axis=1)),
             dict(zip(forward.references.tolist(), forces.tolist(), strict=True)),
@@ -117,22 +124,6 @@ class _Bare:
         forward = self.state.case.forward
         sensor = forward.between.own_parts(self.x.own[:, forward.n_shape :])["sensor"][:, 0]
         return np.exp(sensor), np.exp(-forward.between.shared_parts(self.x.d)["force"])
-
-    def covariance(self) -> Array:
-        """Of ln f, then of ln ζ, of the modes (2n, 2n), by the unknowns of the idle model and of the day."""
-        forward = self.state.case.forward
-        m, moved = forward.modes, forward.moved(self.x)
-
-        def logs(d: Array) -> Array:
-            at = forward.moved(replace(self.x, d=d))
-            return np.log(np.concatenate([at.f[m], at.zeta[m]]))
-
-        of_idle = np.concatenate([moved.by_f[m] / moved.f[m, None], moved.by_zeta[m] / moved.zeta[m, None]])
-        here = logs(self.x.d)
-        of_day = [(logs(self.x.d + step) - here) / _STEP for step in _STEP * np.eye(self.x.d.size)]
-        slopes = np.column_stack([of_idle, *of_day])
-        n = slopes.shape[1]
-        return np.asarray(slopes @ self.state.factor.shared_covariance(0)[:n, :n] @ slopes.T)
 
     def accelerance(self, hz: Array, rows: Array, driven: Sequence[int]) -> Array | None:
         """Accelerances (lines, rows, driven) through sensors and forces as they were put back, without their gains."""

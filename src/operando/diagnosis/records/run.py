@@ -119,7 +119,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     """Spectra of one record and what the idle model (``modes``: as arrays) leaves of its responses on the lines of a band [Hz].
 
     Velocities and displacements are brought to accelerations by powers of iω. On another day sensors show something else than shapes of the
-    idle model, and its frequencies and damping are known less well: their errors are fitted beside each force, as the free decays are.
+    idle model, and its frequencies and damping are found anew beside each force, as the free decays are.
     """
     known = {d.key for d in idle.dofs}
     where = record.name or None
