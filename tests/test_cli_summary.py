@@ -38,6 +38,15 @@ def test_operational_modes_stand_beside_idle_ones_with_their_change():
     assert "%" in mode_table(model([7.0]))
 
 
+def test_modes_are_printed_to_the_digit_of_their_interval():
+    std = {"frequencies_hz": np.array([1e-4, 0.2]), "damping_ratios": np.array([5e-6, 2e-3]), "shapes": 0.1 * np.ones((3, 2))}
+    first, second = mode_table(ModalModel([9.98765, 61.2], [0.01236, 0.02], np.eye(3)[:, :2], DOFS, std=std)).splitlines()[1:]
+    assert first.split() == ["0", "9.9877", "0.0002", "1.236", "0.001"]
+    assert second.split() == ["1", "61.2", "0.4", "2.0", "0.4"]
+    alone = mode_table(model([9.98765], std=False)).splitlines()[1]
+    assert alone.split() == ["0", "9.98765", "1.00"]  # six and three digits where nothing is known of them
+
+
 def test_what_the_interval_is_stands_once_under_the_tables():
     text = run_text(Results("x", idle=model([6.867]), operating=model([7.9])), Path("nowhere"))
     assert text.count("95 % interval") == 1

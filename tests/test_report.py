@@ -639,12 +639,18 @@ def test_without_operating_records_the_idle_model_is_held_against_the_validation
 
 def test_idle_modes_stand_beside_the_peaks_of_the_validation_measurement(whole):
     hz = whole.idle.frequencies_hz
-    near = {"frequency_hz": 1.02 * hz[3], "frequency_error_percent": 100 * (1 / 1.02 - 1), "damping_ratio": 0.011}
+    near = {
+        "frequency_hz": 1.02 * hz[3],
+        "frequency_error_percent": 100 * (1 / 1.02 - 1),
+        "damping_ratio": 0.011,
+        "damping_ratio_std": 2e-4,
+    }
     by_mode = [near, {"frequency_hz": 1.1 * hz[4], "frequency_error_percent": None, "damping_ratio": 0.01}]
     only_idle = {**whole.comparison, "models": {"idle": whole.comparison["models"]["idle"] | {"by_mode": by_mode}}}
     found = idle_peaks(replace_results(whole, operating=None, hybrid=None, comparison=only_idle))
     assert [p.idle for p in found if p.frequency_hz is not None] == [3, None]
-    assert next(p for p in found if p.idle == 3).percent == pytest.approx(2.0)
+    peak = next(p for p in found if p.idle == 3)
+    assert (peak.percent, peak.damping_ratio, peak.damping_ratio_std) == (pytest.approx(2.0), 0.011, 2e-4)
     assert sum(p.idle is not None for p in found) == N
     assert idle_peaks(replace_results(whole, comparison=None)) == []
 

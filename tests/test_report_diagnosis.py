@@ -663,4 +663,6 @@ def test_what_differs_farther_than_days_do_may_be_what_has_changed():
     gains = [{"what": "sensor_gain", "location": [f"{i}+Z"], "value": 1.2, "std": 0.01, "unusual": True} for i in range(6)]
     assert "Farther than days in a laboratory: stiffness, sensor gain 0+Z," in between_words({"between": [*gains, *rows]})
     usual = between_words({"between": [rows[0] | {"unusual": False}]})
-    assert usual == "Between the two measurements differ, as days in a laboratory do: stiffness by −2.4 ± 0.14 %."
+    assert usual == "Between the two measurements differ, as days in a laboratory do: stiffness by −2.4 ± 0.1 %."
+    rows = [{"what": what, "location": [], "value": v, "std": 0.0009} for what, v in (("damping", 1.02), ("stiffness", -0.02))]
+    assert between_words({"between": rows}).endswith("stiffness by −2.0 ± 0.2 % and damping by +2.0 ± 0.2 %.")

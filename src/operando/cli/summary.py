@@ -170,19 +170,18 @@ def _lines(comparison: dict[str, Any]) -> str:
 
 def mode_table(model: Any, hybrid: Any = None, idle: Any = None) -> str:
     """Frequency and damping with 95 % intervals (±); the idle partner of operational modes, and the change of frequency from it."""
-    from operando.indicators import INTERVAL
     from operando.report.class_words import class_words
+    from operando.report.text import plus_minus
 
     rows = []
-    f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
+    none = [None] * model.n_modes
+    f_std, z_std = (none if std is None else std for std in (model.frequency_std_hz, model.damping_ratio_std))
     pairs = {p["operating"]: p for p in hybrid.to_dict()["pairing"]} if hybrid is not None else {}
     for i in range(model.n_modes):
         row: list[Any] = [
             i,
-            f"{model.frequencies_hz[i]:.4f}",
-            "" if f_std is None else f"{INTERVAL * f_std[i]:.2g}",
-            f"{100 * model.damping_ratios[i]:.4f}",
-            "" if z_std is None else f"{100 * INTERVAL * z_std[i]:.2g}",
+            *plus_minus(model.frequencies_hz[i], f_std[i], 6).partition(" ± ")[::2],
+            *plus_minus(model.damping_ratios[i], z_std[i], 3, 100.0).partition(" ± ")[::2],
             "" if model.in_band[i] else "no",
         ]
         if hybrid is not None:

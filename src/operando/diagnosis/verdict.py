@@ -35,6 +35,7 @@ from operando.diagnosis.unseen import unseen_text
 from operando.dof import Dof
 from operando.indicators import INTERVAL
 from operando.processes import side_by_side
+from operando.structure.effects import with_spread
 
 _HALVINGS = 8  # of the range of a discrepancy
 _LEAST_POWER = 0.5  # of a size by which it is seen: 1 at first order, 0.6 to 0.9 along the valleys that were looked at
@@ -333,19 +334,11 @@ def moved_peaks(rows: Sequence[Mapping[str, float | None]], spreads: Mapping[str
 def peaks_text(moved: Sequence[tuple[float, float, float | None]], most: int = 4) -> str:
     """Which peaks have moved, those that moved farthest."""
     farthest = sorted(sorted(moved, key=lambda row: -abs(row[1]))[:most])
-    named = ", ".join(f"to {_hz_text(hz, std)} Hz by {'+' if percent > 0 else '−'}{abs(percent):.2g} %" for hz, percent, std in farthest)
+    by = [f"{'+' if percent > 0 else '−'}{abs(percent):.2g} %" for _, percent, _ in farthest]
+    named = ", ".join(f"to {with_spread(hz, INTERVAL * (std or 0.0))} Hz by {off}" for (hz, _, std), off in zip(farthest, by, strict=True))
     known = " (± is the 95 % interval)" if "±" in named else ""
     many = "1 peak has" if len(moved) == 1 else f"{len(moved)} peaks have"
     return f"{many} moved by more than days in a laboratory differ and than their half-power width, the farthest {named}{known}"
-
-
-def _hz_text(hz: float, std: float | None) -> str:
-    """``47.18 ± 0.05``: with the 95 % interval where it is known, to its first digit."""
-    if std is None or not 0 < std < hz:
-        return f"{hz:.4g}"
-    half = INTERVAL * std
-    decimals = max(0, -int(np.floor(np.log10(float(f"{half:.0e}")))))
-    return f"{hz:.{decimals}f} ± {half:.{decimals}f}"
 
 
 def no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:

@@ -16,9 +16,10 @@ class IdlePeak:
     """One mode of the idle model beside the peak of the validation measurement that the comparison has for it."""
 
     idle: int | None  # number of the idle mode; None for a peak that no idle mode makes
-    frequency_hz: float | None = None  # this and the next two: of the measured peak; None where the comparison has none
+    frequency_hz: float | None = None  # this and the next three: of the measured peak; None where the comparison has none
     frequency_std_hz: float | None = None
     damping_ratio: float | None = None
+    damping_ratio_std: float | None = None
     percent: float | None = None  # its frequency against the idle mode's
 
 
@@ -54,7 +55,7 @@ def idle_peaks(results: Results) -> list[IdlePeak]:
             k = int(abs(hz - model_hz).argmin())
             found = k if abs(hz[k] - model_hz) <= 2 * zeta[k] * hz[k] and k not in peaks else None
         percent = None if found is None else 100 * (seen / float(hz[found]) - 1)
-        peak = IdlePeak(found, seen, row.get("frequency_std_hz"), row.get("damping_ratio"), percent)
+        peak = IdlePeak(found, seen, row.get("frequency_std_hz"), row.get("damping_ratio"), row.get("damping_ratio_std"), percent)
         if found is None:
             alone.append(peak)
         else:

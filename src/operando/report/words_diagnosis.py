@@ -279,7 +279,8 @@ def between_words(document: Mapping[str, Any]) -> str:
     for what, name, zero in (("stiffness", "stiffness", 0.0), ("damping", "damping", 1.0)):
         for r in rows:
             if r["what"] == what:
-                parts.append(f"{name} by {100 * (float(r['value']) - zero):+.2g} ± {number(100 * INTERVAL * float(r['std']), 2)} %")
+                change = float(r["value"]) - zero
+                parts.append(f"{name} by {'+' if change >= 0 else ''}{plus_minus(change, r['std'], 2, 100.0)} %")
     if not parts:
         return ""
     whole_first = sorted((r for r in rows if r.get("unusual")), key=lambda r: bool(r["location"]))
