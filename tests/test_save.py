@@ -21,6 +21,8 @@ from operando.data.objects import Noun, Short
 from operando.diagnosis import Diagnosis, RecordsApplied, RecordsDiagnosis
 from operando.diagnosis.records import Detection
 from operando.dof import Dof
+from operando.errors import FormatError
+from operando.store import load_results
 
 HZ = np.arange(5.0, 80.0, 0.1)
 MADE = results()
@@ -193,3 +195,11 @@ def test_a_loaded_model_works_as_the_one_saved(tmp_path: Path):
 def test_all_results_compare_by_what_they_hold():
     """The comparison that dataclasses make by themselves fails on arrays."""
     assert not [kind.__name__ for kind in kinds_of() if kind.__module__.startswith("operando.") and "__eq__" in vars(kind)]
+
+
+def test_results_are_not_loaded_from_another_file(tmp_path: Path):
+    """A measurement given for a results folder is no damaged file."""
+    (tmp_path / "run.uff").write_text("    -1\n    58\n")
+    with pytest.raises(FormatError, match="holds no results of operando") as caught:
+        load_results(tmp_path / "run.uff")
+    assert "operando run" in caught.value.hint

@@ -74,6 +74,8 @@ def save_results(results: Results, path: str | Path) -> None:
 
 def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results:
     """Read what :func:`save_results` wrote, from ``model.h5`` or the folder that holds one; fields not wanted keep their defaults."""
+    from h5py import is_hdf5
+
     from operando.io import UNREADABLE, check_objects, opened_hdf5, read_objects
 
     path = path_of(path, "results are loaded from their folder")
@@ -83,6 +85,9 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
         raise MissingError(
             "there is no such results folder", where=str(path), hint=f"{near_path(path)}; `operando run test.toml -o DIR` makes one"
         )
+    elif not is_hdf5(path):
+        hint = "a folder that `operando run test.toml -o DIR` made is expected, or its model.h5"
+        raise FormatError("holds no results of operando", where=str(path), hint=hint)
     if not path.is_file():
         raise MissingError("there is no model.h5", where=str(path.parent), hint="make one with `operando run test.toml -o DIR`")
     wanted = _NAMES if only is None else ("name", *only)
