@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,6 +115,12 @@ def test_the_diagram_is_that_of_the_results(reading, state):
     assert set(found["poles"]["letter"]) <= set(found["letters"])
     for curve in found["behind"]:
         assert 0 <= min(curve["values"]) <= max(curve["values"]) <= 1
+
+
+def test_a_state_without_modes_has_no_diagram_and_says_so_in_json(reading, monkeypatch):
+    monkeypatch.setattr(Bench, "results", replace(reading.bench.results, operating=None))
+    answer = reading.get("/diagram/operating")
+    assert (answer.status_code, answer.json["error"]) == (404, "there are no modes of the operating state")
 
 
 @pytest.mark.parametrize(("state", "prefix"), [("idle", ""), ("operating", "oma_")])

@@ -120,7 +120,10 @@ def make_app(bench: Bench, token: str) -> Flask:
     @app.get("/diagram/<any(idle,operating):state>")
     def diagram(state: str) -> Any:
         results = bench.results
-        return modes.diagram(results, analysis(), state) if results is not None else ({}, 404)
+        try:
+            return modes.diagram(results, analysis(), state) if results is not None else ({}, 404)
+        except MissingError as error:
+            return error.to_dict(), 404
 
     @app.get("/missing")
     def missing_page() -> str:
