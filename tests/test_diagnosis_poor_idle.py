@@ -119,6 +119,7 @@ def test_nothing_is_told_where_the_same_structure_is_measured_again(idle_frf, se
     found = diagnose_frf(model(), [CheckRun("run", "1 N", roved(seed))], idle_frf=idle_frf)
     assert found.verdict == "inconclusive"
     assert found.effects == ()
+    assert "what the idle model leaves of the idle FRFs themselves hides it" in found.proposed_measurement  # no noise of the validation
 
 
 def test_no_effect_is_told_where_the_scan_has_another_than_the_fit(idle_frf, monkeypatch):

@@ -285,8 +285,8 @@ def _stiffness(state: State, term: Term, w: Array, measured: Array, weight: Arra
     }
 
 
-def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | None:
-    """Which measurement would decide."""
+def proposal(found: Found, verdict: Verdict, others: Sequence[State], poor: bool) -> str | None:
+    """Which measurement would decide; ``poor``: the idle model differs from the idle FRFs, and that counts as noise."""
     best = found.best
     case = best.case
     if others and verdict.name in ("ambiguous", "explained", "partial", "inconclusive"):
@@ -313,6 +313,11 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
         return "put sensors in all directions between those beside the location, idle and in operation: they show what moves there"
     if verdict.name in ("partial", "unexplained"):
         return "measure this state at another level and with the force at another point: does the rest depend on level?"
+    if verdict.name == "inconclusive" and poor:
+        return (
+            "what the idle model leaves of the idle FRFs themselves hides it: measure these again without what the findings on them name, "
+            "as drift, offsets or hits that are not alike"
+        )
     if verdict.name == "inconclusive":
         problem = best.problem
         shared, mine = problem.derived(problem.packed(best.x))[0].whole()

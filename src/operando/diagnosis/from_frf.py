@@ -358,7 +358,7 @@ def told(
         name,
         effects_of(final) if shown else (),
         tuple({e.kind + e.place: e for e in ambiguous}.values()),
-        proposal(found, replace(said, name=name), rivals) if law is None else law_proposal(law),
+        proposal(found, replace(said, name=name), rivals, poor) if law is None else law_proposal(law),
         tuple(rows),
         tuple(candidate_rows(found)),
         where,
