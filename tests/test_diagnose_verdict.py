@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from operando.cli.diagnose import steps_table
 from operando.compare import compare_all, gets_worse, recommended
 from operando.compare.route import ALIKE_DB, CLOSE_DB, WITHIN, is_good
 from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, verdict_of
@@ -185,15 +186,31 @@ def test_peaks_that_moved_are_no_open_question_though_the_idle_model_is_a_poor_o
     assert ("peaks have moved" in found.reason) is changed
 
 
+def test_what_differs_between_the_days_is_no_merit_of_an_effect(chain, idle):  # noqa: F811
+    """Gains alone: they explain the lines, and step 0 has them; with a needless effect step 0 is the idle model as it is."""
+    run = running(chain, [0, 3])
+    gains = np.linspace(0.7, 1.3, len(run.frf.responses))[:, None, None]
+    run, may = replace(run, frf=replace(run.frf, data=run.frf.data * gains)), {"sensor_gain": 0.2}
+    none, added = (apply_effects(idle, effects, check=[run], between=may) for effects in ([], ["point_mass@5+Z"]))
+    assert [row["with_between"] for row in (*none.ladder, *added.ladder)] == [True, False, True]
+    assert max(none.ladder[0]["heldout_error_db"], added.ladder[1]["heldout_error_db"]) < 0.3 * added.ladder[0]["heldout_error_db"]
+    assert "with what differs between the two measurements, " in added.words[0]
+    assert added.words[0].endswith(("the data do not support it", "nothing in the data speaks for it"))
+    assert "with what differs between the two measurements: step 1" in steps_table(list(added.ladder))
+
+
 def test_one_comparison_has_one_number(chain, idle):  # noqa: F811
-    """Comparison, diagnosis, refit by hand: the idle model's figures agree to all digits, and name state, level and lines."""
+    """Comparison, diagnosis, effects added or all removed by hand: the idle model's figures agree, and name state, level and lines."""
     run = running(chain, [0, 3], mass=0.15 * at(4))
     errors = compare_all({"idle": idle}, [run])["models"]["idle"]
-    found, by_hand = diagnose(idle, check=[run]), apply_effects(idle, ["point_mass@5+Z"], check=[run])
+    found, by_hand, none = diagnose(idle, check=[run]), *(apply_effects(idle, e, check=[run]) for e in (["point_mass@5+Z"], []))
     for key in ("by_dof", "by_band", "by_mode"):
         assert found.where[key] == errors[key]
-    for key in ("error_db", "heldout_error_db", "misfit", "heldout_misfit"):
-        assert by_hand.ladder[0][key] == pytest.approx(found.ladder[0][key], rel=1e-4)  # two ways to one fit
+    assert by_hand.effects
+    for step in (by_hand.ladder[0], none.ladder[0]):
+        assert [step[key] for key in ("error_db", "heldout_error_db")] == [found.ladder[0][key] for key in ("error_db", "heldout_error_db")]
+        for key in ("misfit", "heldout_misfit"):
+            assert step[key] == pytest.approx(found.ladder[0][key], rel=1e-3)  # under the discrepancy of each fit
     assert by_hand.judged_on == found.judged_on
     assert found.judged_on["state"] == "operating"
     assert found.judged_on["level_name"] == "1 N rms"

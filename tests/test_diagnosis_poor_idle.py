@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operando.data import Frf, ModalModel
-from operando.diagnosis import diagnose_frf, poor_idle
+from operando.diagnosis import apply_effects, diagnose_frf, poor_idle
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ABOVE_ERROR, EXPLAINED
@@ -190,3 +190,19 @@ def test_the_sense_of_a_drive_point_in_noise_is_that_of_the_idle_measurement():
     assert opposed_dofs(unclear) == ()
     assert opposed_dofs(unclear, known=frf.references) == frf.references
     assert opposed_dofs(frf, known=frf.references) == ()
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+def test_effects_are_added_to_frfs_as_the_diagnosis_takes_them(offset):
+    """Force and accelerometer of opposite senses: a refit by hand has them in one sense, and the error of a poor idle model, as well."""
+    at_rest, running = roved(1, offset=offset), roved(11, ADDED, offset=offset)
+    turned = [in_one_sense(frf, frf.references) for frf in (at_rest, running)]
+    assert all(opposed_dofs(frf) == frf.references for frf in turned)
+    plain = apply_effects(model(), "point_mass@3+Z", check=running, idle_frf=at_rest, band=BAND)
+    added, none = (apply_effects(model(), e, check=turned[1], idle_frf=turned[0], band=BAND) for e in ("point_mass@3+Z", []))
+    assert added.to_dict() == plain.to_dict()
+    (effect,) = added.effects
+    assert abs(effect.values["mass"] - ADDED) < 2.5 * effect.std["mass"] < 0.2 * ADDED
+    found = diagnose_frf(model(), [CheckRun("run", "1 N", running)], idle_frf=at_rest, kinds=("point_mass",), band=BAND)
+    for key in ("error_db", "heldout_error_db"):
+        assert found.ladder[0][key] == added.ladder[0][key] == none.ladder[0][key]

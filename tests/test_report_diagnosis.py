@@ -666,3 +666,13 @@ def test_what_differs_farther_than_days_do_may_be_what_has_changed():
     assert usual == "Between the two measurements differ, as days in a laboratory do: stiffness by −2.4 ± 0.1 %."
     rows = [{"what": what, "location": [], "value": v, "std": 0.0009} for what, v in (("damping", 1.02), ("stiffness", -0.02))]
     assert between_words({"between": rows}).endswith("stiffness by −2.0 ± 0.2 % and damping by +2.0 ± 0.2 %.")
+
+
+@pytest.mark.parametrize(("days", "said"), [
+    ((False, False), "the error of the idle model is 3.00 dB, with the effect 0.15 dB"),
+    ((False, True), "the error of the idle model is 3.00 dB, with the effect and what differs between the two measurements 0.15 dB"),
+    ((True,), "the error of the idle model with what differs between the two measurements is 3.00 dB"),
+])  # fmt: skip
+def test_what_an_error_has_beside_the_effect_is_said(days, said):
+    rows = [{"step": i, "added": None, "heldout_error_db": (3.0, 0.15)[i], "with_between": w} for i, w in enumerate(days)]
+    assert said in diagnosis_words({"verdict": "explained", "ladder": rows, "data": ["check_frf"]}).sentences[0]

@@ -84,6 +84,8 @@ def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | Non
     head = table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"])
     used = "\ndB: rms over the lines that the diagnosis uses; a comparison of models takes all lines in band"
     used = used if any(row["error_db"] is not None for row in ladder) else ""
+    days = [str(row["step"]) for row in ladder if row.get("with_between")]
+    used += f"\nwith what differs between the two measurements: step {', '.join(days)}" if days else ""
     return f"{head}{used}\nχ²: reduced chi-square, 1 = as good as the noise allows" + (f"; hold-out set: {said}" if said else "")
 
 

@@ -82,11 +82,15 @@ def refuse_failed(effect: Effect, before: float, after: float) -> None:
         )
 
 
-def words_of(effect: Effect, before: float, after: float) -> str:
-    """What an effect did to the reduced chi-square on validation lines, and where the data do not support it."""
+def words_of(effect: Effect, before: float, after: float, days: bool = False) -> str:
+    """What an effect did to the reduced chi-square on validation lines, and where the data do not support it.
+
+    ``days``: both have what differs between the two measurements, which the idle model as it is does not have.
+    """
     fall = 1 - after / before
     what = f"{'removed ' if effect.removed else ''}{effect.kind}{f' at {effect.place}' if effect.place else ''}"
-    start = f"{what}: reduced chi-square on validation lines {before:.4g} → {after:.4g}"
+    both = ", with what differs between the two measurements," if days else ""
+    start = f"{what}: reduced chi-square on validation lines{both} {before:.4g} → {after:.4g}"
     if fall < 0:
         return f"{start}: it makes the prediction worse; nothing in the data speaks for it"
     if fall < _LITTLE:

@@ -10,18 +10,19 @@ import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, expect, positive_band, several
 from operando.diagnosis.applied import Applied, failed, refuse_failed, words_of
-from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, chosen_run, searched, validation_runs
+from operando.diagnosis.arguments import UNKNOWN_UNITS, chosen_run, searched, validation_runs
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import EXPLAINED, LOOSE, MOST_CHI_SQUARE, tolerated
 from operando.diagnosis.days import strained
 from operando.diagnosis.discrepancy import discrepancy_row, most_likely
-from operando.diagnosis.document import between_rows, judged_on, ladder, step_row
+from operando.diagnosis.document import another_day, between_rows, judged_on, ladder, step_row
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
+from operando.diagnosis.measured import Measured
 from operando.diagnosis.midway import Midway, at_position, located, with_midway
-from operando.diagnosis.posterior import State, approach, at_rest, fit, left_on
+from operando.diagnosis.posterior import State, approach, fit, left_on
 from operando.diagnosis.rival import fitted_if_can_be, started
 from operando.diagnosis.scan import LinearScan, robust_scan
 from operando.diagnosis.terms import SEARCHED, Term
@@ -125,10 +126,11 @@ def apply_effects(
                 refuse_failed(effects_of(state)[-1], _left(last, last.alpha), _left(state, last.alpha))
         final = estimated(states[-1])
         rows = ladder(final)
-        words = []
+        words, days = [], another_day(final)
+        without = [step_row(final, 0), *rows[1:]]  # what differs between the days, or can be fitted, is no merit of the first effect
         for k, state in enumerate(states[1:], 1):
-            before, after = rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]
-            words.append(words_of(effects_of(state)[-1], before, after))
+            before, after = without[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]
+            words.append(words_of(effects_of(state)[-1], before, after, days))
             if min(before, after) > MOST_CHI_SQUARE and (better := _better(states[k - 1], 0.5 * after)) is not None:
                 words.append(
                     f"the data speak for another one: {better[0]} would lower it to {better[1]:.4g}; `operando remove` takes step {k} back"
@@ -162,15 +164,12 @@ def fitted_to(
 
     Days that would have to differ by more than days do stand for what is missing, and only ``may_strain`` takes them.
     """
-    band = band_asked(band, run.frf) or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
-    known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
-    rest = None if idle_frf is None else at_rest(known, idle_frf, band)
-    known = known if rest is None else rest.idle
-    known, places, geometry = _placed(known, effects, geometry)
-    kinds = searched(None, poor=rest is not None and rest.state.alpha > EXPLAINED)
+    measured = Measured.of(idle, run.frf, idle_frf, band, say)
+    known, places, geometry = _placed(measured.model, effects, geometry)
+    kinds = searched(None, measured.poor)
 
     def of_check(model: Idle, spreads: Mapping[str, float]) -> Case:
-        return Case(model, run.frf, band, dict(spreads), kinds=kinds)
+        return Case(model.with_near(measured.band, fitted=True), measured.frf, measured.band, dict(spreads), kinds=kinds)
 
     lacking = next((e for e in effects if e.kind == "missing_mode"), None)
     if lacking is not None:

@@ -10,7 +10,6 @@ from operando.compare import FOUND
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
 from operando.diagnosis.arguments import (
     UNKNOWN_UNITS,
-    band_asked,
     chosen_run,
     kinds_asked,
     places_asked,
@@ -42,9 +41,10 @@ from operando.diagnosis.found import Found
 from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.hypotheses import AT_FIRST, Hypotheses
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.measured import Measured
 from operando.diagnosis.midway import between_sensors, located
-from operando.diagnosis.poor_idle import one_effect, with_what_is_left
-from operando.diagnosis.posterior import AtRest, at_rest
+from operando.diagnosis.poor_idle import one_effect
+from operando.diagnosis.posterior import AtRest
 from operando.diagnosis.result import Diagnosis, where_and_levels
 from operando.diagnosis.rival import score
 from operando.diagnosis.search import DEPTH, WAYS, search
@@ -63,7 +63,6 @@ from operando.diagnosis.verdict import (
     with_validation,
 )
 from operando.errors import DataError, MissingError
-from operando.frf import in_one_sense, opposed_dofs
 from operando.results import CheckRun
 from operando.threads import one_blas_thread
 
@@ -130,23 +129,8 @@ def diagnose_frf(
     say = progress or (lambda text: None)
     with one_blas_thread():
         run = chosen_run(check)
-        frf = run.frf
-        if idle_frf is not None and (opposed := opposed_dofs(idle_frf)):  # the idle model has them in one sense
-            frf = in_one_sense(frf, [d for d in opposed_dofs(frf, opposed) if any(d.same_axis(o) for o in opposed)])
-            idle_frf = in_one_sense(idle_frf, opposed)
-        band = band_asked(band, frf) or idle.band_hz or (float(frf.frequencies_hz[0]), float(frf.frequencies_hz[-1]))
-        driven = run.frf.references if idle_frf is None else idle_frf.references
-        rest = None
-        known = Idle.of(idle, band, driven)
-        if idle_frf is not None:
-            say("idle model on the idle FRFs")
-            rest = at_rest(known, idle_frf, band)
-        model = known if rest is None else rest.idle
-        poor = rest is not None and misses_idle_frfs(rest.state)
-        if rest is not None and idle_frf is not None and poor:
-            say(f"it differs by {100 * rest.state.alpha:.0f} %: what it leaves counts as error of the measurements")
-            frf = with_what_is_left(frf, rest.state)
-            model = at_rest(known, with_what_is_left(idle_frf, rest.state), band).idle
+        both_states = Measured.of(idle, run.frf, idle_frf, band, say)
+        frf, band, model, rest, poor = both_states.frf, both_states.band, both_states.model, both_states.rest, both_states.poor
         asked: dict[str, Any] = {
             "kinds": searched(kinds, poor),
             "places": places_asked(idle, places),

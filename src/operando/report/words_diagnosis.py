@@ -63,6 +63,7 @@ class StepError:
     effect: EffectWords | None
     heldout: float
     everything: float
+    with_between: bool = False  # whether the model has what differs between the two measurements
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,8 @@ def error_by_step(document: Mapping[str, Any]) -> ErrorByStep:
     for i, row in enumerate(rows):
         added = row.get("added")
         words = effect_words(final.get(effect_key(added), added)) if isinstance(added, Mapping) else None
-        steps.append(StepError(int(row.get("step", i)), words, value(row, keys[0 if on_hold_out else 1]), value(row, keys[1])))
+        errors = value(row, keys[0 if on_hold_out else 1]), value(row, keys[1])
+        steps.append(StepError(int(row.get("step", i)), words, *errors, bool(row.get("with_between"))))
     steps = [s for s in steps if finite(s.heldout)]
     floor: Any = document.get("noise_floor_db") if keys[1] == "error_db" else 1.0
     return ErrorByStep(tuple(steps), keys[1] == "error_db", on_hold_out, float(floor) if finite(floor) else None, by_phase)
@@ -355,8 +357,10 @@ def _errors(ladder: ErrorByStep, output_only: bool, misfit: Any, of_records: boo
         else f"{'hold-out' if ladder.on_hold_out else 'all'} {lines}"
     )
     value = decibel if ladder.decibel else _deviations
-    text = f"On {where}, the error of the idle model is {value(first)}"
-    text += f", with {'the effect' if added == 1 else 'the effects'} {value(last)}" if added else ""
+    differs = "what differs between the two measurements"
+    text = f"On {where}, the error of the idle model {f'with {differs} ' if ladder.rows[0].with_between else ''}is {value(first)}"
+    more = f" and {differs}" if ladder.rows[-1].with_between else ""
+    text += f", with {'the effect' if added == 1 else 'the effects'}{more} {value(last)}" if added else ""
     if ladder.decibel:
         both = "noise and the model's own uncertainty"
         return text + ("" if ladder.floor is None else against_the_floor(last, ladder.floor, misfit, both)) + "."
