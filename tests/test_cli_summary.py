@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from operando.cli.summary import mode_table, run_text
-from operando.data import ModalModel
+from operando.data import Frf, ModalModel
 from operando.report.class_words import SAME_MAC, class_words, shapes_counted
 from operando.results import Results
 
@@ -36,6 +36,11 @@ def test_operational_modes_stand_beside_idle_ones_with_their_change():
     assert rows[2].endswith("+0.50  0.980  same shape")
     assert rows[3].endswith("no idle partner")
     assert "%" in mode_table(model([7.0]))
+
+
+def test_one_reference_is_one():
+    frf = Frf(np.ones((3, 1, 2)), [1.0, 2.0], DOFS, DOFS[:1])
+    assert run_text(Results("x", idle_frf=frf), Path("nowhere")).startswith("x: FRFs of 3 responses to 1 reference, 1 … 2 Hz.")
 
 
 def test_modes_are_printed_to_the_digit_of_their_interval():

@@ -139,7 +139,7 @@ def headline(results: Results) -> str:
     if results.idle_frf is not None:
         f = results.idle_frf
         band = f"{f.frequencies_hz[0]:.4g} … {f.frequencies_hz[-1]:.4g} Hz"
-        return f"{results.name}: FRFs of {len(f.responses)} responses to {len(f.references)} references, {band}."
+        return f"{results.name}: FRFs of {counted(len(f.responses), 'response')} to {counted(len(f.references), 'reference')}, {band}."
     return f"{results.name}: {len(results.inventory)} files read." if results.inventory else ""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf
+from operando.data import Finding, Frf, counted
 from operando.dof import Dof
 from operando.ema.answers import LinearModes
 from operando.ema.doubts import Evidence
@@ -278,7 +278,7 @@ def doubtful_findings(poles: Sequence[tuple[float, Evidence]]) -> list[Finding]:
     return [
         Finding(
             "doubtful_pole",
-            f"{len(doubtful)} poles in band are not reported as modes ({first}{'; …' if len(doubtful) > 4 else ''})",
+            f"{counted(len(doubtful), 'pole')} in band not reported as a mode ({first}{'; …' if len(doubtful) > 4 else ''})",
             "info",
             consequence="they stay in the synthesis of the FRFs as residual terms",
             action="name those that are modes in select_hz",
