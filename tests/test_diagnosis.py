@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from operando.data import Frf, ModalModel
-from operando.diagnosis import Diagnosis, diagnose_frf, from_frf
+from operando.diagnosis import Diagnosis, diagnose_frf
+from operando.diagnosis import measured as measured_states
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
 from operando.diagnosis.case import COLUMNS, Case
@@ -705,14 +706,14 @@ def test_no_pairs_of_locations_are_searched_where_the_idle_model_misses_the_idle
     idle_frf = measured(mass, damping, stiff, (0, 3), 2e-4, 1)
     mass[1, 1] += 0.4
     check = [CheckRun("run", "1 N", measured(mass, damping, stiff, (0, 3), 2e-4, 2))]
-    whole = from_frf.at_rest
+    whole = measured_states.at_rest
 
     def poor(*given):
         rest = whole(*given)
         return replace(rest, state=replace(rest.state, alpha=1.01 * EXPLAINED))
 
     assert not any("between two locations" in note for note in diagnose_frf(idle, check, idle_frf=idle_frf).notes)
-    monkeypatch.setattr(from_frf, "at_rest", poor)
+    monkeypatch.setattr(measured_states, "at_rest", poor)
     asked = diagnose_frf(idle, check, idle_frf=idle_frf)
     assert asked.verdict == "partial"
     assert any("between two locations" in note for note in asked.notes)
