@@ -2,6 +2,7 @@
 
 import threading
 
+import numpy as np
 import pytest
 
 from operando import threads
@@ -31,3 +32,11 @@ def test_an_error_reaches_the_caller(monkeypatch):
     with pytest.raises(ZeroDivisionError):
         each(lambda n: 1 / n, [1, 0, 2])
     assert each(lambda n: n, [1, 2]) == [1, 2]
+
+
+def test_what_numpy_warns_of_is_the_same_in_a_thread(monkeypatch):
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+    with np.errstate(divide="ignore"):
+        assert each(lambda n: np.ones(1)[0] / np.float64(n), [0, 1]) == [np.inf, 1.0]
+    with np.errstate(divide="raise"), pytest.raises(FloatingPointError):
+        each(lambda n: np.ones(1)[0] / np.float64(n), [0, 1])

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import copy_context
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -54,7 +55,8 @@ def each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Resu
         with one_by_one():
             return function(item)
 
-    return list(_pool().map(guarded, todo))
+    # each in a copy of this thread's context: what NumPy warns of is part of it
+    return list(_pool().map(lambda item, context: context.run(guarded, item), todo, [copy_context() for _ in todo]))
 
 
 def inside() -> bool:

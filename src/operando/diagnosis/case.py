@@ -179,16 +179,20 @@ class Case:
             some = Forward(idle, plain, np.arange(dofs), columns, self.band)
             alike = np.broadcast_to(1 / noise[:, None, None], (w.size, dofs, columns.size))
             slopes = some.derived(replace(some.start, terms=idle.lacking_term), w, Rows(weights=alike))[1]
-            for block, shared, own in slopes.made():
+            reaching = some.reaching_dofs(())
+
+            def of(block: slice, shared: Array, own: Array, reaching: Sequence[int] = reaching) -> Array:
                 by_g = shared[..., :g].reshape(-1, g)
-                whole += by_g.T @ by_g
                 # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
                 each[block] += 2 * np.swapaxes(own, 1, 2) @ own
-                for number, dof in enumerate(some.reaching_dofs(())):
+                for number, dof in enumerate(reaching):
                     if block.start <= dof < block.stop:
                         start = g + number * forward.n_shape
                         far = shared[dof - block.start, :, start : start + forward.n_shape]
                         each[dof] += far.T @ far
+                return np.asarray(by_g.T @ by_g)
+
+            whole += sum(slopes.of_each(of, keep=False))
         values, vectors = np.linalg.eigh(whole * dofs / taken.size)
         values_own, vectors_own = np.linalg.eigh(each * dofs / taken.size)
         own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]

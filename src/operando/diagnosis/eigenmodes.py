@@ -82,7 +82,7 @@ class Eigenmodes(Forward):
         made = self.predict(x, w)
         both = made.shared, made.own
         shared, own = (rows.flat(v) if rows.basis is None else (rows.basis @ v[:, 0, 0])[None] for v in both)
-        return made.h, Slopes(lambda: [(slice(0, 1), shared, own)])
+        return made.h, Slopes(lambda at: (shared, own))
 
     def scannable(self, x: Point, w: Array) -> ScannableModes:  # type: ignore[override]
         """A state to which effects are added one at a time."""

@@ -13,7 +13,7 @@ from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Betwee
 from operando.diagnosis.derivatives import Derivatives, FirstOrder, Moved, Parts
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.products import Compliance, Rows
-from operando.diagnosis.slopes import Block, Slopes, in_blocks
+from operando.diagnosis.slopes import Slopes, in_blocks
 from operando.diagnosis.terms import Term, added, touched
 
 Array = NDArray[Any]
@@ -153,11 +153,11 @@ class Forward:
         products = 2 * self.between.first.size + 2 * (4 + len(parts.here)) * self.n_terms  # about as many, beside g and d
         blocks = in_blocks(parts.order.size, every // parts.order.size * (self.n_g + self.n_d + self.n_own + products))
 
-        def block(at: slice) -> Block:
+        def block(at: slice) -> tuple[Array, Array]:
             shared, own = Derivatives(replace(parts, order=parts.order[at], factor=parts.factor[:, at]), rows.of_responses(at)).all()
-            return at, shared.reshape(len(shared), -1, shared.shape[-1]), own.reshape(len(own), -1, own.shape[-1])
+            return shared.reshape(len(shared), -1, shared.shape[-1]), own.reshape(len(own), -1, own.shape[-1])
 
-        return parts.h, Slopes(lambda: map(block, blocks), every * (self.n_g + self.n_d + self.n_own))
+        return parts.h, Slopes(block, blocks, every * (self.n_g + self.n_d + self.n_own))
 
     def scannable(self, x: Point, w: Array) -> Scannable:
         """FRFs with all columns of the structure."""

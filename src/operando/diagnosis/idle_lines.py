@@ -67,7 +67,12 @@ class IdleLines:
         """How the rows move from a point, by g and by the own unknowns of the responses."""
         made, g = self.forward.derived(self._point(x), self.w, self.rows)[1], self.forward.n_g
         # beyond g stand unknowns of driven DOFs: of a mode that is lacking at rest
-        return Slopes(lambda: ((at, np.ascontiguousarray(shared[..., :g]), own) for at, shared, own in made.made()))
+
+        def by_g(at: slice) -> tuple[Array, Array]:
+            shared, own = made.make(at)
+            return np.ascontiguousarray(shared[..., :g]), own
+
+        return Slopes(by_g, made.blocks)
 
 
 class Placed:

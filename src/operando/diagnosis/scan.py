@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import Outside
@@ -200,7 +201,7 @@ class LinearScan:
             without, own = Factor.of(problem.idle.information, problem.precision, problem.own_precision).solve(*problem.of_prior(packed))
         self.factor = Factor.of(told, precision, problem.own_precision)
         without[values] = 0
-        self.offset = Slopes(lambda: [(slice(None), self.shared, self.own)]).moved(without, own)[..., None]
+        self.offset = Slopes(lambda at: (self.shared, self.own)).moved(without, own)[..., None]
         self.measured = problem.rows(problem.measured[..., None]) * self.weights
 
     def residuals(self, terms: Sequence[Term]) -> Array:
@@ -378,7 +379,7 @@ class LinearScan:
         """The unknowns less what the slope of an effect takes over from them; the values of the others stay."""
         s = len(self.factor.lower)
         blocks, k, _ = self.factor.inverse.shape
-        first = np.linalg.solve(self.factor.lower.T, along[:s])
+        first = solve_triangular(self.factor.lower, along[:s], lower=True, trans="T", check_finite=False)
         second = np.swapaxes(self.factor.inverse, 1, 2) @ (along[s:].reshape(blocks, k, 1) - (self.factor.across @ first)[..., None])
         values = slice(self.problem.values_at, self.problem.values_at + self.problem.n_values)
         first[values] = 0
