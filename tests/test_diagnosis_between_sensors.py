@@ -173,6 +173,7 @@ def test_sizes_are_held_in_finer_steps_only_where_lines_are_explained(monkeypatc
         return Held(x.terms, alpha, -50 * x.terms[0].values[0] ** 2)
 
     monkeypatch.setattr(sizes, "fitted_if_can_be", fitted)
+    monkeypatch.setattr(sizes, "side_by_side", lambda function, items: [function(item) for item in items])
     monkeypatch.setattr(sizes, "_along_valley", lambda state, number, size: Held(state.terms, alpha, 0.0))
     sizes.at_likely_size(Held((Term("ground_spring", (9,), (0.0,)),), alpha, 0.0), 0)
     assert any(1e-9 < abs(size) < 0.5 * np.log(2) for size in asked) == finer

@@ -23,6 +23,7 @@ from operando.diagnosis.midway import TOGETHER
 from operando.diagnosis.posterior import State, names
 from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import Say
+from operando.processes import side_by_side
 
 Array = NDArray[Any]
 _STEP = float(np.log(2))  # of the logarithm of a size, at most, from one that is held to the next: else one standard deviation
@@ -72,16 +73,21 @@ def at_likely_size(state: State, number: int) -> State:
     between = [place for place in term.places if place in case.idle.midway]
     held: dict[float, State] = {}
 
+    def fitted(size: float) -> State | None:
+        near = held[min(held, key=lambda s: abs(s - size))] if held else state
+        one = replace(near.terms[number], values=(size, *near.terms[number].values[1:]), fixed=(0,))
+        terms = tuple(one if n == number else t for n, t in enumerate(near.terms))
+        return fitted_if_can_be(case, replace(_along_valley(near, number, size), terms=terms), near.alpha)
+
+    def hold(sizes: Sequence[float]) -> None:
+        new = [size for size in sizes if size not in held]
+        held.update((size, made) for size, made in zip(new, side_by_side(fitted, new), strict=True) if made is not None)
+
     def evidence(size: float) -> float:
         """Of the size on the search scale, with its prior."""
+        hold([size])
         if size not in held:
-            near = held[min(held, key=lambda s: abs(s - size))] if held else state
-            one = replace(near.terms[number], values=(size, *near.terms[number].values[1:]), fixed=(0,))
-            terms = tuple(one if n == number else t for n, t in enumerate(near.terms))
-            made = fitted_if_can_be(case, replace(_along_valley(near, number, size), terms=terms), near.alpha)
-            if made is None:
-                return -np.inf
-            held[size] = made
+            return -np.inf
         prior = -0.5 * ((size - mean) / std) ** 2 - float(np.log(std)) - 0.5 * float(np.log(2 * np.pi))
         return held[size].log_evidence + by_scale(held[size], between) + prior
 
@@ -89,9 +95,10 @@ def at_likely_size(state: State, number: int) -> State:
     free = float(np.sqrt(state.covariance[at, at]))
     likely, step = float(term.values[0]), min(free, _STEP)
     for _ in range(_ROUNDS):
-        known = _walked(evidence, likely, step)
-        if not np.isfinite(known[likely]):  # the size leads to numbers that cannot be
+        if not np.isfinite(evidence(likely)):  # the size leads to numbers that cannot be
             return state
+        hold([likely - step, likely + step])
+        known = _walked(evidence, likely, step)
         likely, spread, whole = _moments(known)
         if step < _FINE * spread or all(one.alpha >= EXPLAINED for one in held.values()):
             break
