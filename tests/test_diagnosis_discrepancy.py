@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import test_diagnosis as chain
+from operando.diagnosis import discrepancy
 from operando.diagnosis.criteria import LEAST_DISCREPANCY
 from operando.diagnosis.discrepancy import discrepancy_row, likely_discrepancy, most_likely
 from operando.diagnosis.lines import changes
@@ -89,6 +90,18 @@ def test_the_most_likely_discrepancy_is_at_the_top_of_the_evidence():
     slopes, residual = problem.derived(x)
     here, *beside = (linear_evidence(problem, residual, slopes, x, by * state.alpha)[0] for by in (1, 0.99, 1.01))
     assert here > max(beside)
+
+
+def test_the_most_likely_discrepancy_is_looked_for_once_and_near_that_of_the_fit(monkeypatch):
+    asked = []
+    monkeypatch.setattr(discrepancy, "linear_evidence", lambda *given: asked.append(given[-1]) or linear_evidence(*given))
+    begun = fitted(0.01, 3)
+    state = most_likely(begun)
+    assert len(asked) < 12
+    assert max(np.abs(np.log(asked) - np.log(begun.alpha))) < 0.35
+    asked.clear()
+    assert discrepancy_row(state)["value"] == state.alpha
+    assert not asked
 
 
 def test_what_validation_lines_ask_for_beyond_is_part_of_the_deviation():

@@ -39,7 +39,7 @@ from operando.diagnosis.midway import TOGETHER, between_sensors, located, midway
 from operando.diagnosis.posterior import fit, leaves_noise, on_validation_lines, unfitted
 from operando.diagnosis.rival import score, started
 from operando.diagnosis.scan import robust_cost, robust_scan
-from operando.diagnosis.search import _BESIDE, WAYS, Search
+from operando.diagnosis.search import _BESIDE, RIVALS, WAYS, Search
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
 from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.sizes import _NEAR, _along_valley, with_likely_sizes
@@ -436,18 +436,29 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
 
 @pytest.mark.parametrize(("no_laboratory", "depth"), [(True, 1), (False, 2)])
 def test_between_sensors_one_step_is_made_where_no_laboratory_has_such_days(monkeypatch, no_laboratory, depth):
-    state = SimpleNamespace(
-        terms=(Term("point_mass", (1,), (0.0,)),), alpha=0.0, case=SimpleNamespace(uncompressed=SimpleNamespace(midway={}))
-    )
-    found, asked = Found(state, state, {}, odds=-1000.0), []
+    """And its spreads are estimated where that step has led between sensors."""
+
+    def state(place, log_evidence=0.0):
+        case = SimpleNamespace(uncompressed=SimpleNamespace(midway={}))
+        term = Term("point_mass", (place,), (0.0,))
+        return SimpleNamespace(terms=(term,), key=(term.key,), alpha=0.0, case=case, log_evidence=log_evidence)
+
+    found, asked = Found(state(1), state(1), {}, odds=-1000.0), []
     monkeypatch.setattr(elsewhere, "no_other_day", lambda best: no_laboratory)
     cases = [SimpleNamespace(name=name, idle=SimpleNamespace(midway={9: (0.5, 0.0, 0.0)})) for name in ("days", "one set-up")]
     monkeypatch.setattr(elsewhere, "cases_between_sensors", lambda *args: cases)
-    monkeypatch.setattr(elsewhere, "search", lambda case, say, **how: asked.append((case.name, how["depth"])) or found)
+
+    def search(case, say, **how):
+        ends = [Found(state(1), state(1), dict(enumerate(pool))) for pool in pools]
+        asked.append((case.name, how["depth"], [how["go_on"](end) for end in ends]))
+        return found
+
+    pools = [state(1), state(2)], [state(1), state(9, -RIVALS + 1)], [state(1), state(9, -RIVALS - 1)]
+    monkeypatch.setattr(elsewhere, "search", search)
     monkeypatch.setattr(elsewhere, "with_likely_sizes", lambda found, say: found)
     monkeypatch.setattr(elsewhere, "score", lambda state: 0.0)
     assert search_between_sensors(found, lambda idle: [], object(), lambda text: None, 2) is found
-    assert asked == [("days", depth)]
+    assert asked == [("days", depth, [not no_laboratory, True, not no_laboratory])]
 
 
 def test_a_mode_is_held_against_a_state_with_its_spreads_estimated_as_that_was():

@@ -13,11 +13,12 @@ from operando.diagnosis.criteria import LEAST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.days import unlike_days, untouched
 from operando.diagnosis.descent import _NOTHING, Descent
 from operando.diagnosis.found import Found
+from operando.diagnosis.hypotheses import as_channels_were
 from operando.diagnosis.posterior import NEAR, approach, fit, likely_alpha, linear_evidence, names, on_validation_lines
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import score
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import RIVALS, search
+from operando.diagnosis.search import RIVALS, Search, search
 from operando.diagnosis.slopes import Slopes
 from operando.diagnosis.spreads import likely_spreads, log_prior, rescaled
 from operando.diagnosis.terms import Term
@@ -32,7 +33,7 @@ def started(one, *terms):
 
 def at_first_order(problem, x, alpha):
     made = problem.predict(x)
-    slopes = Slopes(lambda: [(slice(None), problem.rows(made.shared), problem.rows(made.own))])
+    slopes = Slopes(lambda at: (problem.rows(made.shared), problem.rows(made.own)))
     return linear_evidence(problem, problem.residual(made.h), slopes, x, alpha)
 
 
@@ -119,6 +120,18 @@ def test_a_damping_is_forgotten_at_the_minimum(gain, kept, monkeypatch):
     descent.damping = 1e6
     descent.turn(problem, x, rows, state.alpha, state.factor, rows[0].information(problem.weights(state.alpha)))
     assert (descent.damping > 0) is kept
+
+
+def test_a_fit_with_spreads_estimated_is_not_made_twice(monkeypatch):
+    one = case()
+    state = fit(one, one.forward.start)
+    as_channels_were([state], lambda text: None)
+    asked = []
+    monkeypatch.setattr("operando.diagnosis.search.fitted_if_can_be", lambda *given, **how: asked.append(given))
+    run = Search(one, lambda text: None, Found(state, state, {(): state}), own_spreads=True)
+    assert not run._begin_with(run.start)
+    assert run.pool[()] is state.own_spreads is not None
+    assert not asked
 
 
 def test_sensors_together_not_one_of_them_tell_that_spreads_are_beyond_laboratories():

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.diagnosis.arrow import Factor
 from operando.diagnosis.criteria import LEAST_DISCREPANCY, MOST_DISCREPANCY
 from operando.diagnosis.posterior import State, linear_evidence, with_discrepancy
+from operando.diagnosis.problem import Step
 
 Array = NDArray[Any]
 
 _STEP = 0.02  # of its logarithm, for the curvature: a standard deviation is as much or more
+_NEAR = 0.3  # of its logarithm from that of a fit, within which the most likely one is looked for first
 
 
 def most_likely(state: State) -> State:
     """The same state under the discrepancy that makes its evidence largest: a fit ends within ten per cent of it."""
     alpha, std = likely_discrepancy(state)
-    return state if std is None else with_discrepancy(state, alpha)
+    out = state if std is None else with_discrepancy(state, alpha)
+    out.likely = alpha, std
+    return out
 
 
 def discrepancy_row(state: State) -> dict[str, float | None]:
@@ -27,7 +33,7 @@ def discrepancy_row(state: State) -> dict[str, float | None]:
     Where the value is not the most likely one of the fitted lines (validation lines asked for more), it is known no better than the two
     differ: that difference counts.
     """
-    likely, std = likely_discrepancy(state)
+    likely, std = state.likely or likely_discrepancy(state)
     if std is None:
         return {"value": state.alpha, "std": None if state.alpha <= LEAST_DISCREPANCY * (1 + 1e-9) else state.alpha - likely}
     return {"value": state.alpha, "std": float(np.hypot(likely * std, state.alpha - likely))}
@@ -46,20 +52,27 @@ def likely_discrepancy(state: State) -> tuple[float, float | None]:
     x = problem.packed(state.x)
     slopes, residual = problem.derived(x)
 
+    @lru_cache
+    def model(log: float) -> tuple[float, Step, Factor]:
+        return linear_evidence(problem, residual, slopes, x, float(np.exp(log)))
+
     def evidence(log: float) -> float:
-        return linear_evidence(problem, residual, slopes, x, float(np.exp(log)))[0]
+        return model(log)[0]
 
     low, high = np.log(LEAST_DISCREPANCY), np.log(MOST_DISCREPANCY)
     ended = state.alpha <= LEAST_DISCREPANCY * (1 + 1e-9)
     if ended and evidence(low + _STEP) <= evidence(low):  # the evidence has one maximum
         return LEAST_DISCREPANCY, None
-    log = float(minimize_scalar(lambda v: -evidence(v), bounds=(low, high), method="bounded", options={"xatol": 1e-3}).x)
+    for a, b in ((max(low, np.log(state.alpha) - _NEAR), min(high, np.log(state.alpha) + _NEAR)), (low, high)):
+        log = float(minimize_scalar(lambda v: -evidence(float(v)), bounds=(a, b), method="bounded", options={"xatol": 1e-3}).x)
+        if (a == low or log > a + _STEP) and (b == high or log < b - _STEP):
+            break
     around = [evidence(log + step) for step in (-_STEP, 0, _STEP)]
     curvature = -(around[0] - 2 * around[1] + around[2]) / _STEP**2
     alpha = float(np.exp(log))
     if log - low < _STEP or curvature <= 0:
         return alpha, None
-    _, best, factor = linear_evidence(problem, residual, slopes, x, alpha)
+    _, best, factor = model(log)
     left = residual - problem.spread(slopes, best + x * -1)
     score = problem.case.lines.by_stretch(_score(state, alpha, left, slopes.variance(factor, slice(None))), problem.at)
     return alpha, float(np.sqrt(max(1 / curvature, np.sum(score**2) / curvature**2)))

@@ -17,8 +17,9 @@ from operando.diagnosis.midway import on_a_sum
 from operando.diagnosis.posterior import State
 from operando.diagnosis.rival import score
 from operando.diagnosis.scan import Say
-from operando.diagnosis.search import WAYS, search
+from operando.diagnosis.search import RIVALS, WAYS, leaders, search
 from operando.diagnosis.sizes import with_likely_sizes
+from operando.diagnosis.terms import touched
 
 _ANOTHER_DAY = 100.0  # log odds of another day from which no location between sensors is looked for in one set-up
 
@@ -43,15 +44,21 @@ def search_between_sensors(found: Found, again: Again, geometry: Geometry | None
     else:  # where effects are found that explain the lines, by the hypothesis that they are of
         known_spreads = count > 1 and (bool(found.best.terms) or found.best.alpha >= EXPLAINED)
         # where no laboratory has such days, one step tells whether an effect between sensors stands in the place of what was found
-        depth = 1 if not same and no_other_day(found.best) else count
-        other = replace(search(cases[1 if same else 0], say, depth=depth, own_spreads=not known_spreads), odds=odds)
+        one_step = not same and no_other_day(found.best)
+
+        def there(step: Found) -> bool:
+            return not one_step or any(midway.keys() & set(touched(state.terms)) for state in leaders(step.pool, RIVALS, len(step.pool)))
+
+        depth = 1 if one_step else count
+        other = search(cases[1 if same else 0], say, depth=depth, own_spreads=not known_spreads, go_on=there)
+        other = replace(other, odds=odds)
     other = with_likely_sizes(other, say)
     bar = score(found.best)
     if count == 1:  # what is there explains the lines, with shapes that are known: one effect is an answer where it stands for several
         fewer = len(found.best.terms) - len(other.best.terms) if other.best.alpha < EXPLAINED else -1
         bar = bar - WAYS if fewer > 0 else bar if fewer == 0 and on_a_sum(found.best, geometry) else float("inf")
-    there = any(t.places and t.places[0] in midway for t in other.best.terms)
-    return other if there and score(other.best) > bar else found
+    between = any(t.places and t.places[0] in midway for t in other.best.terms)
+    return other if between and score(other.best) > bar else found
 
 
 def search_lacking_mode(found: Found, empty: State, again: Again, say: Say) -> Found:

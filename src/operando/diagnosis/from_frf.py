@@ -171,9 +171,9 @@ def diagnose_frf(
         days_alone = found.odds is not None and found.odds <= 0 and found.empty.alpha < LOOSE
         modes = left() or days_alone or any(t.kind == "tuned_absorber" for t in found.best.terms)
         if asked_for_all and found.unnamed is None and (elsewhere or modes):
-            empty = found.empty
-            found = search_between_sensors(found, cases, geometry, say, elsewhere)
-            found = with_validation(search_lacking_mode(found, empty, cases, say) if modes else found)
+            there = search_between_sensors(found, cases, geometry, say, elsewhere)
+            there = search_lacking_mode(there, found.empty, cases, say) if modes else there
+            found = found if there is found else with_validation(there)
         if 0 < len(found.best.terms) < DEPTH and left() and not explains_lines(found.best) and not no_other_day(found.best):
             say("further effects:")
             found = with_validation(replace(search(found.best.case, say, start=found), odds=found.odds))

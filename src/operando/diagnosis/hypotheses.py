@@ -336,6 +336,8 @@ def as_channels_were(known: Sequence[State], say: Say) -> Found | None:
     """
     likely = max(known, key=score)
     state = fitted_if_can_be(likely.case, likely.x, likely.alpha, own_spreads=True) if likely.alpha < LOOSE else None
+    if not likely.terms:  # a search leaves effects off on their way out of their range
+        likely.own_spreads = state
     if state is None or state.alpha >= LOOSE or not untouched(state):
         return None
     say("  channels are as they were, as on no other day: no search")

@@ -59,6 +59,8 @@ class State:
     sizes: Mapping[int, tuple[float, Array]] = field(default_factory=dict)  # variance of sizes held, and how all values follow each
     scanned: bool = False
     robustly: bool = False
+    own_spreads: State | None = field(default=None, init=False, repr=False)  # what a fit from here ends with that estimates its spreads
+    likely: tuple[float, float | None] | None = field(default=None, init=False, repr=False)  # its discrepancy, once it is estimated
     least_change: float | None = field(default=None, init=False, repr=False)  # of the FRFs by one of its effects, once it is asked for
     _validated: tuple[float, float] | None = field(default=None, init=False, repr=False)
     _fitted: float | None = field(default=None, init=False, repr=False)

@@ -53,6 +53,7 @@ def search(
     known: Sequence[State] = (),
     simpler: Callable[[], bool] = lambda: False,
     also: Sequence[Term] = (),
+    go_on: Callable[[Found], bool] = lambda found: True,
 ) -> Found:
     """To the first state that explains the lines; then with spreads estimated in each state.
 
@@ -76,6 +77,8 @@ def search(
         Whether something simpler than two effects explains the lines: asked where one effect does not, and ends the search.
     also : sequence of Term
         First effects to fit beside those of the scan.
+    go_on : callable
+        Whether spreads are to be estimated with what was found before.
     """
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
@@ -86,7 +89,7 @@ def search(
         return found
     best = found.best
     behind = rival is not None and (score(best) < rival.score - EARNED or remounted(best))
-    if behind or best.alpha >= EXPLAINED:
+    if behind or best.alpha >= EXPLAINED or not go_on(found):
         return found
     say("with the spreads of what differs estimated:")
     return Search(case, say, found, own_spreads=True, depth=max(1, depth - len(best.terms))).run()
@@ -99,11 +102,12 @@ def remounted(state: State) -> bool:
 
 @dataclass(frozen=True)
 class Start:
-    """Where a fit begins; ``case`` has the spreads in which the unknowns are given."""
+    """Where a fit begins; ``case`` has the spreads in which the unknowns are given. ``ended`` is where it is known to end."""
 
     x: Point
     alpha: float
     case: Case
+    ended: State | None = None
 
 
 def key_of(terms: Iterable[Term]) -> Key:
@@ -162,7 +166,7 @@ class Search:
 
         def one(start: Start) -> State | None:
             how = {"floor": floor, "own_spreads": self.own_spreads, "closely": closely, "in_range": True}
-            return fitted_if_can_be(start.case, start.x, start.alpha, **how)
+            return start.ended or fitted_if_can_be(start.case, start.x, start.alpha, **how)
 
         states, simpler = side_by_side(one, starts), []
         ended = {state.key for state in states if state is not None}
@@ -195,14 +199,11 @@ class Search:
 
     def run(self) -> Found:
         """One effect after the other, until nothing is left or none is found."""
-        if self.start is None:
-            if () not in self.pool:
-                self.fitted([Start(self.case.forward.start, 0.1, self.case)])
-        else:
-            ended = self._begin_with(self.start)
-            if ended:
-                self.say("  no two days in a laboratory differ like this: the search ends")
-                return Found(self.best(), self.start.empty, {self.start.empty.key: self.start.empty} | self.pool)
+        if self.start is None and () not in self.pool:
+            self.fitted([Start(self.case.forward.start, 0.1, self.case)])
+        if self.start is not None and self._begin_with(self.start):
+            self.say("  no two days in a laboratory differ like this: the search ends")
+            return Found(self.best(), self.start.empty, {self.start.empty.key: self.start.empty} | self.pool)
         empty = self.pool.get((), self.best())
         empty.robustly = self.start is not None
         if self.start is None and self.depth and self.best() is not empty and self.best().alpha > LOOSE:
@@ -225,12 +226,11 @@ class Search:
         # from its own place: beside one effect more, the way back to a state is farther than its fit goes
         fewer = [s for key, s in first.pool.items() if set(key) < set(first.best.key) and len(key) == len(first.best.key) - 1]
         states = list({s.key: s for s in (first.best, *near, *fewer, first.empty)}.values())
-        for state in states:
-            self.once(state.terms)
+        self.tried |= {state.key for state in states}
         if not self.own_spreads:
             self.pool |= {state.key: state for state in states}
             return False
-        starts = [Start(s.x, s.alpha, s.case) for s in states]
+        starts = [Start(s.x, s.alpha, s.case, s.own_spreads) for s in states]
         self.fitted(starts[:1])
         if self.pool and self._no_other_day(self.best()):
             return True
