@@ -12,7 +12,7 @@ import measurements
 from operando.data import FrequencyAxis, Frf, ModalModel
 from operando.dof import Dof
 from operando.quality import check_gains, check_record, check_shapes, check_states
-from operando.quality.between import GAIN_DB, OPPOSITE
+from operando.quality.between import GAIN_DB, OPPOSITE, TREND
 from operando.quality.record import DRIVEN
 
 HZ = np.arange(5.0, 100.0, 0.5)
@@ -59,6 +59,18 @@ def test_the_gain_of_one_sensor(states, factor):
     assert stated == pytest.approx(20 * np.log10(factor), abs=1.5)
     assert "change of the structure" in found.consequence
     assert "[channels]" in found.action
+
+
+@pytest.mark.parametrize(("part", "seen"), [(0.8, True), (1.2, False)])
+def test_a_tail_over_low_frequencies_at_one_sensor_is_no_gain(states, part, seen):
+    """A response that drifts away after a hit adds over 1/f: its ratio follows a line over log f; by ``TREND``."""
+    idle, _ = states
+    gain = 20 * np.log10(10.0)
+    change = part * TREND * gain  # dB over the band, about the gain
+    level = gain + change * (0.5 - np.log(HZ / HZ[0]) / np.log(HZ[-1] / HZ[0]))
+    data = idle.data.copy()
+    data[1] *= 10 ** (level / 20)
+    assert [f.kind for f in check_gains(idle, replace(idle, data=data))] == (["gain_differs"] if seen else [])
 
 
 def test_the_gain_of_a_force_is_one_finding(states):
