@@ -306,6 +306,7 @@ def test_effects_taken_back_and_added_are_those_of_the_command_line(site, chain_
         ("bands", {"low": None, "high": None, "excluded": {"from": 24.0}}, "both its limits"),
         ("exclude", {"channel": "22+Z", "reason": "cable"}, "no channel '22+Z'"),
         ("exclude", {"channel": "2+Z", "reason": "\ud800"}, "reason is no text"),
+        ("exclude", {"channel": "2+Z", "reason": ""}, "reason is empty"),
     ],
 )
 def test_wrong_requests_are_explained(reading, what, given, said):

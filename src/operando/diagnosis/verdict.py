@@ -338,7 +338,8 @@ def peaks_text(moved: Sequence[tuple[float, float, float | None]], most: int = 4
     named = ", ".join(f"to {with_spread(hz, INTERVAL * (std or 0.0))} Hz by {off}" for (hz, _, std), off in zip(farthest, by, strict=True))
     known = " (± is the 95 % interval)" if "±" in named else ""
     many = "1 peak has" if len(moved) == 1 else f"{len(moved)} peaks have"
-    return f"{many} moved by more than days in a laboratory differ and than their half-power width, the farthest {named}{known}"
+    farthest_of = "" if len(moved) == 1 else "the farthest "
+    return f"{many} moved by more than days in a laboratory differ and than their half-power width, {farthest_of}{named}{known}"
 
 
 def no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:

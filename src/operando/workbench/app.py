@@ -261,6 +261,8 @@ def _whole(given: dict[str, Any], key: str) -> int:
 
 def _text(given: dict[str, Any], key: str) -> str:
     value = given.get(key)
-    if not isinstance(value, str) or not value or len(value) > 500 or any("\ud800" <= c <= "\udfff" for c in value):  # no file holds these
+    if value == "":
+        raise ConfigError(f"{key} is empty")
+    if not isinstance(value, str) or len(value) > 500 or any("\ud800" <= c <= "\udfff" for c in value):  # no file holds these
         raise ConfigError(f"{key} is no text")
     return value

@@ -13,8 +13,8 @@ from operando.pipeline import STAGES
 from operando.pipeline.share import WORDS, Share, duration, share_of
 
 NAMES = {
-    "run": "Run of the test", "add": "Effect added and model refitted", "candidate": "Candidate added and model refitted",
-    "suggested": "Suggested effects added and model refitted", "remove": "Effect taken back and model refitted",
+    "run": "Run the test", "add": "Add an effect and refit the model", "candidate": "Add a candidate and refit the model",
+    "suggested": "Add the suggested effects and refit the model", "remove": "Take an effect back and refit the model",
 }  # fmt: skip
 
 
