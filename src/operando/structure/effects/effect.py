@@ -138,9 +138,9 @@ class Effect:
     def supported(self) -> bool:
         """Whether the 95 % interval of every fitted value leaves out the value at which the effect says nothing: a gain of 1, else 0.
 
-        Values that may be 0 by the catalogue are not asked, as the speed below which friction is smoothed.
+        Values that may be 0 by the catalogue are not asked, as the speed below which friction is smoothed, and no exponents: 0 is none.
         """
-        asked = [p.name for p in self.definition.parameters if p.low != 0.0 and p.name in self.std]
+        asked = [p.name for p in self.definition.parameters if p.low != 0.0 and p.name != "exponent" and p.name in self.std]
         return all(abs(float(self.values[n]) - (1.0 if n == "gain" else 0.0)) > INTERVAL * self.std[n] for n in asked)
 
     @property
