@@ -14,6 +14,7 @@ from operando.data import ModalModel, TimeRecord
 from operando.diagnosis import diagnose_records
 from operando.diagnosis.records import (
     DISCREPANCY,
+    Detection,
     SearchStep,
     Sets,
     Tried,
@@ -199,7 +200,7 @@ def test_a_law_may_leave_so_much_of_the_responses_beyond_the_noise(stiffer, verd
     law = ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP})
     moved = spot().settled(law).settled(law)
     tried = Tried(moved, law.moved(stiffness=stiffer * STIFFNESS), 1.2, 1.2)
-    found = conclude(case(), [SearchStep(case(), tried.spot.place, 50.0, 50.0, [tried])], [tried], None, {}, None)
+    found = conclude(case(), [SearchStep(case(), tried.spot.place, 50.0, 50.0, [tried])], [tried], None, Detection(), None)
     assert found.verdict == verdict
     assert found.ladder[-1]["heldout_misfit"] > 10 * GOOD
     assert (found.discrepancy["value"] <= DISCREPANCY) == (verdict == "explained")
