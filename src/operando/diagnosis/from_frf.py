@@ -18,6 +18,7 @@ from operando.diagnosis.arguments import (
 )
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
+from operando.diagnosis.confirmed import confirmed
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import LOOSE
 from operando.diagnosis.days import no_other_day, unlike_days, untouched
@@ -183,6 +184,8 @@ def diagnose_frf(
             laws = (with_free_law(case, found.best.log_evidence, say) for case in both)
             near = (law for law in laws if law is not None and score(law) > score(found.best) - behind)
             found.unnamed = max(near, key=score, default=None)
+        if not poor and found.unnamed is None and (sure := confirmed(found, say)) is not found:
+            found = with_validation(sure)
         geometry = located(geometry, found.best.case.idle)
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared)
@@ -372,6 +375,7 @@ def notes_of(
             f"the data say that nothing was touched between the idle and the operating measurement ({odds_text(one_set_up)}); "
             "gains, positions of sensors, temperature and damping count as the same"
         )
+    notes += found.left_out
     if unused:
         notes.append(f"the diagnosis uses {run.name} alone; {', '.join(unused)} stand in the comparison only")
     if rest is None:
