@@ -15,6 +15,7 @@ from operando.diagnosis.confirmed import AGAINST, confirmed
 from operando.diagnosis.found import Found
 from operando.diagnosis.posterior import fit
 from operando.diagnosis.terms import Term
+from operando.diagnosis.verdict import verdict_and_reason
 from test_diagnosis_spreads import started
 
 MASS = Term("point_mass", (1,), (np.log(0.4),))
@@ -59,3 +60,11 @@ def test_an_effect_that_is_there_is_left_out_no_more_often_than_is_said():
     means = np.linspace(0.01, 100, 5000)
     assert norm.cdf((-AGAINST - means) / np.sqrt(2 * means)).max() == pytest.approx(norm.cdf(-np.sqrt(2 * AGAINST)), rel=1e-3)
     assert norm.cdf(-np.sqrt(2 * AGAINST)) < 0.01
+
+
+def test_nothing_is_not_said_to_be_missing_where_lines_fitted_and_others_disagree_about_an_effect():
+    one = chain.case()
+    empty = fit(one, one.forward.start, 0.01)
+    found = Found(empty, empty, {(): empty})
+    assert verdict_and_reason(found, None)[0] == "no_misfit"
+    assert verdict_and_reason(replace(found, left_out=("a mass is left out",)), None) == ("inconclusive", "a mass is left out")

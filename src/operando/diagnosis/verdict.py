@@ -298,6 +298,8 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     if not best.terms:
         if any(sets):
             return "inconclusive", "nothing and an effect are as likely"
+        if found.left_out:
+            return "inconclusive", found.left_out[-1]
         if blind:
             which = ", ".join(f"{hz:.4g}" for hz in blind)
             return "inconclusive", f"the modes at {which} Hz could have moved by a half-power width without being seen"
