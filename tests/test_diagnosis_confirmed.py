@@ -42,7 +42,7 @@ def test_an_effect_that_lines_not_fitted_speak_against_is_left_out(part):
 
     def beyond(share):
         one.lines.h[at] = as_measured + share * change
-        return room._nats(both, without) - part * AGAINST
+        return room._nats(replace(both), without) - part * AGAINST
 
     beyond(brentq(beyond, 0.0, 5.0))
     said = []

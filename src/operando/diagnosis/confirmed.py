@@ -8,7 +8,7 @@ from functools import partial
 
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.found import Found
-from operando.diagnosis.posterior import State, left_on
+from operando.diagnosis.posterior import State, left_on, on_validation_lines
 from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import explains_lines
@@ -56,5 +56,5 @@ def _without(found: Found, term: Term) -> State | None:
 def _nats(best: State, without: State) -> float:
     """How much less probable the validation lines are with an effect than without, under the same noise and discrepancy."""
     lines = best.case.lines
-    chi = [left_on(best.case, x, best.alpha, lines.validation)[0] for x in (best.x, without.x)]
-    return lines.validation.size * int(lines.there.sum()) * (chi[0] - chi[1])  # real and imaginary parts, half a nat each
+    more = on_validation_lines(best)[0] - left_on(best.case, without.x, best.alpha, lines.validation)[0]
+    return lines.validation.size * int(lines.there.sum()) * more  # real and imaginary parts, half a nat each

@@ -278,7 +278,7 @@ def doubtful_findings(poles: Sequence[tuple[float, Evidence]]) -> list[Finding]:
     return [
         Finding(
             "doubtful_pole",
-            f"{counted(len(doubtful), 'pole')} in band not reported as a mode ({first}{'; …' if len(doubtful) > 4 else ''})",
+            f"{counted(len(doubtful), 'pole')} in band not reported among the modes ({first}{'; …' if len(doubtful) > 4 else ''})",
             "info",
             consequence="they stay in the synthesis of the FRFs as residual terms",
             action="name those that are modes in select_hz",
