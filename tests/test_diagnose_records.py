@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -15,8 +16,10 @@ from operando.diagnosis import another_day, diagnose, from_records, records_and_
 from operando.diagnosis.from_records import standing
 from operando.diagnosis.records import Detection, steps
 from operando.diagnosis.suspicion import DISTORTION, FAINT, LOUDEST, beyond_rest, suspicion, suspicion_at
+from operando.dof import Dof
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
+from operando.structure import ForceLaw
 from operando.structure.effects import Effect
 from test_nonlinear_records import STRIP, records
 
@@ -376,6 +379,46 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
     assert asked[:2] == [None, ()]
     assert [text.split("@")[0] for text in asked[2]] == ["ground_spring", "ground_damper"]
     assert all("5+Z" in text for text in asked[2])
+
+
+def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypatch):
+    """A force law may be found elsewhere than where any force explains most (rotor 10397): what leaves less stands."""
+    law, there = found("clearance"), (Dof.parse("5+Z"),)
+    monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
+    monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
+    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
+    assert law.locations == (there,)
+    worse = (law.ladder[0], law.ladder[-1] | {"heldout_error_db": 2 * law.ladder[-1]["heldout_error_db"]})
+
+    def looked(idle, records, day=None, **options):
+        if not day:
+            return replace(
+                law, verdict="unexplained", effects=(), equivalents=(), locations=((Dof.parse("3+Z"),), there, (Dof.parse("4+Z"),))
+            )
+        return law if any("5+Z" in text for text in day) else replace(law, ladder=worse, notes=("elsewhere",))
+
+    monkeypatch.setattr(records_and_days, "diagnose_records", looked)
+    made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
+    assert made.ladder == law.ladder
+    assert "elsewhere" not in made.notes
+
+
+@pytest.mark.parametrize(
+    ("told", "wanted"), [((), "hysteresis"), (("coulomb_friction",), "coulomb_friction"), (("hysteresis",), "hysteresis")]
+)
+def test_a_law_whose_values_stay_open_gives_way_to_one_that_it_contains(monkeypatch, told, wanted):
+    """Hysteresis that slips at once is dry friction: 4 % nearer, of a stiffness that nothing tells (rotor 10395)."""
+    module = sys.modules["operando.diagnosis.records.diagnose"]
+    spots = [SimpleNamespace(place=place) for place in ((4,), (4,), (5,), (4,))]
+    kinds = ("hysteresis", "saturating_spring", "coulomb_friction", "coulomb_friction")
+    tried = [steps.Tried(spot, ForceLaw(kind, {}), 1.0 + k, 1.0) for k, (spot, kind) in enumerate(zip(spots, kinds, strict=True))]
+    step = steps.SearchStep(None, (4,), 50.0, 50.0, tried)
+    monkeypatch.setattr(module, "effect_of", lambda case, t: SimpleNamespace(supported=t.law.kind in told))
+    monkeypatch.setattr(module, "refined", lambda t: t)
+    monkeypatch.setattr(module, "closed_loop_force", lambda case, t: t)
+    monkeypatch.setattr(module, "improves", lambda step, t, before: True)
+    made = module.as_far_as_known(None, step, tried[0], [])
+    assert made is {"hysteresis": tried[0], "coulomb_friction": tried[3]}[wanted]
 
 
 @pytest.mark.parametrize(("times", "verdict"), [(0.9, "explained"), (1.1, "partial")])

@@ -91,7 +91,9 @@ class RecordsAndDays:
                     break
                 # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
                 if not (seen.nonlinear or other.nonlinear):
-                    other = beside(spring_and_damper(other.detection.location, self.band or self.idle.band_hz)) or other
+                    for location in other.locations:
+                        there = beside(spring_and_damper(location, self.band or self.idle.band_hz))
+                        other = there if there is not None and (not other.nonlinear or _says_more(there, other)) else other
                 if not (seen.nonlinear or other.nonlinear):
                     other = on(usual_day(self.idle, self.between or {}), OF_ANY_DAY)
             except OperandoError as error:

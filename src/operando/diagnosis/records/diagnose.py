@@ -9,7 +9,7 @@ from typing import Any
 from operando.data import Geometry, ModalModel, TimeRecord
 from operando.diagnosis.records.case import RecordsCase, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force
-from operando.diagnosis.records.conclude import conclude
+from operando.diagnosis.records.conclude import conclude, effect_of
 from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.detect import detect, distortion
 from operando.diagnosis.records.refine import refined
@@ -131,7 +131,7 @@ def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, sa
         best = choose(step.tried)
         if not improves(step, best, accepted):
             break
-        best = closed_loop_force(case, refined(best))
+        best = as_far_as_known(case, step, closed_loop_force(case, refined(best)), accepted)
         accepted.append(best)
         if len(accepted) == MAX_EFFECTS:
             more = f"no search for more than {MAX_EFFECTS} effects is made"
@@ -143,3 +143,16 @@ def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, sa
             say(f"{best.law.kind} accepted, look for more")
     detection = replace(detect(first), location=tuple(str(first.idle.dofs[i]) for i in steps[0].place))
     return conclude(first, steps, accepted, more, detection, geometry)
+
+
+def as_far_as_known(case: RecordsCase, step: SearchStep, best: Tried, before: Sequence[Tried]) -> Tried:
+    """A law whose values the data tell, in place of one that contains it and has values that they leave open; else the law itself."""
+    if effect_of(case, best).supported:
+        return best
+    contained = [t for t in step.tried if t.spot.place == best.spot.place and t.law.kind in best.law.definition.contains]
+    for simpler in contained:
+        if improves(step, simpler, before):
+            found = closed_loop_force(case, refined(simpler))
+            if effect_of(case, found).supported:
+                return found
+    return best

@@ -10,6 +10,7 @@ from operando.data import Geometry, ModalModel
 from operando.diagnosis.applied import Applied
 from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.result import Diagnosis
+from operando.dof import Dof
 from operando.structure import Model
 from operando.structure.effects import Effect
 from operando.structure.linearization import LinearEquivalent, linear_effects
@@ -30,11 +31,15 @@ class RecordsDiagnosis(Diagnosis):
         The model with its effects in the closed loop against the validation records.
     equivalents : tuple of tuple of LinearEquivalent
         For each effect the spring and damper it is equivalent to at each level; empty for a linear one.
+    locations : tuple of tuple of Dof
+        Where a force may act that the idle model lacks: that of the first force law found, supported or not, and that at which any force
+        explains most.
     """
 
     detection: Detection = field(default_factory=Detection)
     simulation: dict[str, Any] = field(default_factory=dict)
     equivalents: Equivalents = ()
+    locations: tuple[tuple[Dof, ...], ...] = ()
 
     @property
     def nonlinear(self) -> tuple[Effect, ...]:
