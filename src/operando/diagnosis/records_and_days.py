@@ -124,7 +124,7 @@ def linear_at(seen: RecordsDiagnosis | RecordsApplied, run: CheckRun) -> list[Ef
     return out
 
 
-def spring_and_damper(location: Sequence[Dof | str], band: tuple[float, float] | None) -> list[Effect]:
+def spring_and_damper(location: Sequence[Dof], band: tuple[float, float] | None) -> list[Effect]:
     """What FRFs of one level know a law at a location by, with the sizes that a fit begins at."""
     kind, place = "coupling" if len(location) == 2 else "ground", ",".join(map(str, location))
     return [parse_effect(f"{kind}_{part}@{place}", band) for part in ("spring", "damper")]

@@ -151,7 +151,7 @@ def is_allowed(left: Discrepancy, idle: Discrepancy, chi_square: Sequence[float]
     """Whether what is left is no more than noise and ``DISCREPANCY``, where that is no ground for the idle model as well.
 
     ``chi_square`` are those of the hold-out set by step, the idle model's first. Where the idle model is within the same allowance the
-    effects must lower it by as much as ``partial`` asks: a law of another kind may leave three quarters of it (rotor 10393).
+    effects must lower it by as much as ``partial`` asks: a law of another kind may leave four fifths of it (rotor 10393).
     """
     lowered = chi_square[-1] < (1 - PARTLY) * chi_square[0]
     return left.chi_square(DISCREPANCY) <= GOOD and (lowered or idle.chi_square(DISCREPANCY) > GOOD)

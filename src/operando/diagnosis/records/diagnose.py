@@ -147,11 +147,10 @@ def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, sa
 
 def as_far_as_known(case: RecordsCase, step: SearchStep, best: Tried, before: Sequence[Tried]) -> Tried:
     """A law whose values the data tell, in place of one that contains it and has values that they leave open; else the law itself."""
-    if effect_of(case, best).supported:
-        return best
     contained = [t for t in step.tried if t.spot.place == best.spot.place and t.law.kind in best.law.definition.contains]
-    for simpler in contained:
-        if improves(step, simpler, before):
+    contained = [t for t in contained if improves(step, t, before)]
+    if contained and not effect_of(case, best).supported:
+        for simpler in contained:
             found = closed_loop_force(case, refined(simpler))
             if effect_of(case, found).supported:
                 return found
