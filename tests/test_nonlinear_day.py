@@ -49,7 +49,9 @@ def day_with(sensor_gains=None, sensor_std=0.0, force_std=0.0, open_=True, shown
     wrong = idle.with_terms(frequencies_hz=f, damping_ratios=zeta)
     shown = np.array(terms.shapes)
     askew = shown_std * np.abs(shown[:, :n])
-    return Day(wrong, shown, askew, np.arange(n), covariance, gains, np.full(m, sensor_std), {}, force_std, lambda hz, rows, driven: None)
+    return Day(
+        wrong, shown, askew, np.arange(n), covariance, gains, np.full(m, sensor_std), {}, {}, force_std, lambda hz, rows, driven: None
+    )
 
 
 @cache

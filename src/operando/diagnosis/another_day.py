@@ -67,7 +67,7 @@ def usual_day(idle: ModalModel, between: Mapping[str, float]) -> Day:
     shapes, one = np.asarray(idle.terms.shapes, float), np.ones(m)
     seen = np.tile(spread["seen"] * np.sqrt(np.mean(shapes[:, modes] ** 2, axis=0)), (m, 1))
     covariance = _usual(modes.size, spread)
-    return Day(idle, shapes, seen, modes, covariance, one, spread["sensor"] * one, {}, spread["force"], lambda hz, rows, driven: None)
+    return Day(idle, shapes, seen, modes, covariance, one, spread["sensor"] * one, {}, {}, spread["force"], lambda hz, rows, driven: None)
 
 
 def _usual(n: int, spread: Mapping[str, float]) -> Array:
@@ -104,6 +104,8 @@ class _Bare:
         own_std = std_own[:, forward.n_shape :] * between.own_spread
         seen = between.own["seen"]
         seen_std = own_std[:, seen] if seen.stop > seen.start else np.zeros((len(own_std), modes.size))
+        driven = np.array(moved.phi[forward.references])
+        driven[:, modes] += between.across(between.shared_parts(self.x.d)["driven"].reshape(-1, modes.size), forward.references)
         force_std = (std_d * between.shared_spread)[force]
         sensors, forces = self.gains()
         return Day(
@@ -115,6 +117,7 @@ class _Bare:
             sensors,
             np.sqrt(np.sum(own_std[:, sensor] ** 2, axis=1)),
             dict(zip(forward.references.tolist(), forces.tolist(), strict=True)),
+            dict(zip(forward.references.tolist(), driven, strict=True)),
             float(np.sqrt(np.mean(force_std**2))) if force_std.size else 0.0,
             self.accelerance,
         )

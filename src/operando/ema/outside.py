@@ -332,7 +332,8 @@ def _nonlinear(
         if fall < 1e-4 * cost:
             break
     told = _told(r[: known.size * grid.f.size].reshape(*known.shape, -1))
-    covariance = np.linalg.inv(normal(psi, shift, r, told)[0])[: psi.size, : psi.size]
+    # Given the frequencies, which the model holds as known: what shapes and frequencies leave open together is in no FRF of it.
+    covariance = np.linalg.inv(normal(psi, shift, r, told)[0][: psi.size, : psi.size])
     return psi, shift, np.asarray(covariance.reshape(m, n_p, m, n_p), float)
 
 

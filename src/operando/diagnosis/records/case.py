@@ -114,7 +114,7 @@ def contradicted(runs: Sequence[Run], modes: Modes) -> bool:
     for run in runs:
         first = float(run.hz[0])
         below = np.flatnonzero((run.all_hz >= LOWEST * first) & (run.all_hz < first))
-        hz, drive, measured = run.all_hz[below], run.drive(modes)[:, below], run.responses[:, below]
+        hz, drive, measured = run.all_hz[below], run.modal_forces[:, below], run.responses[:, below]
         free, flat = (
             -((2 * np.pi * hz) ** 2) * (modes.phi[run.rows] @ (kernel * drive))
             for kernel in (modes.receptance_kernel(hz), modes.bounded_kernel(hz, low, first))

@@ -233,7 +233,7 @@ def _track_of(case: RecordsCase, accepted: Sequence[Tried], number: int, loop: L
             row[:] = t.law.definition.memory(m.x, t.law.values, m.v * m.step)[:: m.crossing.fine]  # type: ignore[attr-defined]
     _, amplitudes, _ = motions[-1].along.free_force(0.0, motions[-1].under(accepted[-1].law))
     hz = run.all_hz
-    drive = run.drive(case.modes)
+    drive = run.modal_forces
     kernel = case.modes.bounded_kernel(hz, spurious(case, accepted), float(run.hz[0]))
     base = np.stack([(case.modes.phi.T @ t.spot.b) @ (kernel * drive) for t in accepted])
     # Beyond its last mode the model knows nothing of a place that was not driven.

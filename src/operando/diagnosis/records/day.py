@@ -36,6 +36,8 @@ class Day:
         What sensors show over what there is, and relative standard deviations.
     force_gains : dict
         The same of the forces, by rows of the idle model.
+    driven : dict
+        Shapes (terms,) under which the forces drive, by rows of the idle model: they were put back elsewhere and askew, too.
     force_std : float
         Relative, in the mean over the forces.
     seen : callable
@@ -50,6 +52,7 @@ class Day:
     sensor_gains: Real
     sensor_std: Real
     force_gains: dict[int, float]
+    driven: dict[int, Real]
     force_std: float
     seen: Seen
 

@@ -142,7 +142,7 @@ def unproportional(run: Run, modes: Modes) -> tuple[Real, Real, Real]:
         return np.zeros(0), np.zeros((0, run.rows.size)), np.zeros(0)
     q, _ = np.linalg.qr(table)
     density = np.mean(np.abs(run.forces[: len(run.forces_at), run.lines]) ** 2, axis=1)
-    model = sum(p * np.abs(run.accelerance(modes, b)) ** 2 for p, b in zip(density, run.directions, strict=False))
+    model = sum(p * np.abs(run.accelerance(drive)) ** 2 for p, drive in zip(density, run.drives, strict=False))
     size = np.sqrt(model + np.mean(model, axis=1, keepdims=True)) / np.sqrt(np.sum(density))
     # Without the free decays, which stand as sharp as the resonances.
     error = ((run.error - run.fallen(Weighted.of(run).ringing()[0])) / size)[:, index].transpose(1, 2, 0)

@@ -196,16 +196,17 @@ def _cost_elsewhere(motions: Sequence[Motion], validation: Sequence[Motion], col
 
 
 def free_law(motions: Sequence[Motion], validation: Sequence[Motion]) -> float:
-    """Cost on ``validation`` of a law without a formula: piecewise linear in x, and v, v|v|, sign v; fitted on ``motions``."""
+    """Cost on ``validation`` of a law without a formula, fitted on ``motions``."""
     v_rms = float(np.sqrt(np.mean([np.mean(m.v**2) for m in motions])))
     reach = max(float(np.max(np.abs(m.x))) for m in motions)
-    at = reach * np.sign(np.linspace(-1, 1, KNOTS)) * np.abs(np.linspace(-1, 1, KNOTS)) ** 1.5
+    return _cost_elsewhere(motions, validation, lambda m: m.spectra(free_forces(m.x, m.v, reach, v_rms, KNOTS)))
 
-    def columns(m: Motion) -> Complex:
-        hats = [np.interp(m.x, at, np.eye(KNOTS)[i]) for i in range(KNOTS) if i != KNOTS // 2]
-        return m.spectra(np.stack([*hats, m.v, m.v * np.abs(m.v), np.tanh(m.v / (0.05 * v_rms))]))
 
-    return _cost_elsewhere(motions, validation, columns)
+def free_forces(x: Real, v: Real, reach: float, v_rms: float, knots: int) -> Real:
+    """Forces (c, N) whose sums are laws without a formula: piecewise linear in x up to ``reach``, zero at zero, and v, v|v|, sign v."""
+    at = reach * np.sign(np.linspace(-1, 1, knots)) * np.abs(np.linspace(-1, 1, knots)) ** 1.5
+    hats = [np.interp(x, at, np.eye(knots)[i]) for i in range(knots) if i != knots // 2]
+    return np.stack([*hats, v, v * np.abs(v), np.tanh(v / (0.05 * v_rms))])
 
 
 def linear_law(motions: Sequence[Motion], validation: Sequence[Motion]) -> float:

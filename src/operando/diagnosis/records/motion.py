@@ -55,16 +55,17 @@ class PlaceDrive:
         top = int(run.lines[-1]) + 1
         across = modes.phi.T @ along.b
         first_hz = float(run.hz[0])
-        kernel = modes.bounded_kernel(hz[:top], modes.spurious(along.b, first_hz), first_hz) * across[:, None]
+        spurious = modes.spurious(along.b, first_hz)
+        kernel = modes.bounded_kernel(hz[:top], spurious, first_hz) * across[:, None]
         base, compliance = np.zeros(hz.size, complex), np.zeros(hz.size, complex)
-        for shape, force in zip(run.directions @ modes.phi, run.forces, strict=True):
+        for shape, force in zip(run.drives, run.forces, strict=True):
             base[:top] += (shape @ kernel) * force[:top]
         compliance[:top] = across @ kernel
         if extra is not None:
             compliance[:top] += extra[:top]
         ringing = modes.ringing(run.sampling_hz)
         poles = modes.poles[ringing]
-        weights = across[ringing] * (amplitudes[: run.ringing] + 1j * amplitudes[run.ringing : 2 * run.ringing])
+        weights = np.where(spurious, 0.0, across)[ringing] * (amplitudes[: run.ringing] + 1j * amplitudes[run.ringing : 2 * run.ringing])
         fine = 2 if run.sampling_hz < FINE_BELOW * run.hz[-1] else 1
         decays = np.stack([weights / poles**2, weights / poles, weights])
         fall = decay_in_time(poles, decays, run.n_samples * fine, 1 / (run.sampling_hz * fine))

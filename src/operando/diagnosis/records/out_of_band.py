@@ -116,7 +116,7 @@ def look(
     """
     outside = start
     fixed = [None] * len(weighted) if laws is None else list(laws)
-    base = [w.run.accelerance(modes, b) for w in weighted]
+    base = [w.run.accelerance(modes.phi.T @ b) for w in weighted]
     for turn in range(turns + 1):
         found: list[tuple[Along, Complex, Real]] = []
         remaining, count = 0.0, 0

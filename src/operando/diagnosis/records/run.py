@@ -48,7 +48,7 @@ class Run:
     n_samples: int
     rows: NDArray[np.int_]  # of the idle model that were measured (q,)
     forces_at: tuple[int, ...]  # rows of the idle model that were driven with a measured force
-    directions: Real  # weights of the DOFs that each force acts along (k, m); known restoring forces stand behind the measured forces
+    drives: Real  # forces on the modes per unit of each force (k, terms); known restoring forces stand behind the measured forces
     forces: Complex  # spectra on all lines (k, N//2+1)
     responses: Complex  # accelerations on all lines (q, N//2+1)
     lines: NDArray[np.int_]  # (L,)
@@ -92,23 +92,23 @@ class Run:
             keep &= (self.hz < low) | (self.hz > high)
         return self if keep.all() else self.on(keep)
 
-    def drive(self, modes: Modes) -> Complex:
-        """Modal forces on all lines, (n, N//2+1)."""
-        return np.asarray((self.directions @ modes.phi).T @ self.forces)
+    @property
+    def modal_forces(self) -> Complex:
+        """On all lines, (terms, N//2+1)."""
+        return np.asarray(self.drives.T @ self.forces)
 
-    def with_force(self, b: Real, accelerance: Complex, force: Complex) -> Run:
-        """The run with one more known force along b: its spectrum on all lines, and the accelerances (q, L) it acts through."""
+    def with_force(self, drive: Real, accelerance: Complex, force: Complex) -> Run:
+        """The run with one more known force of such a drive: its spectrum on all lines, and the accelerances (q, L) it acts through."""
         return replace(
             self,
-            directions=np.concatenate([self.directions, b[None]]),
+            drives=np.concatenate([self.drives, drive[None]]),
             forces=np.concatenate([self.forces, force[None]]),
             error=self.error - accelerance * force[self.lines],
         )
 
-    def accelerance(self, modes: Modes, b: Real) -> Complex:
-        """Accelerations of the measured rows per unit force along b, (q, L)."""
-        gain = self.kernel * (modes.phi.T @ b)[:, None]
-        return np.asarray(-(self.omega**2) * (self.shapes @ gain))
+    def accelerance(self, drive: Real) -> Complex:
+        """Accelerations of the measured rows per unit of a force with a drive (terms,), (q, L)."""
+        return np.asarray(-(self.omega**2) * (self.shapes @ (self.kernel * drive[:, None])))
 
     def fallen(self, amplitudes: Real) -> Complex:
         """What amplitudes of free decays and of another day make at the responses, (q, L)."""
@@ -152,16 +152,15 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     f = hz[lines]
     kernel = modes.receptance_kernel(f)
     rows_ = np.asarray(rows)
-    directions = np.zeros((len(at), len(idle.dofs)))
-    directions[np.arange(len(at)), np.asarray(at)] = 1.0
-    moving = -((2 * np.pi * f) ** 2) * kernel * ((directions @ modes.phi).T @ forces[:, lines])
+    drives = modes.phi[np.asarray(at)] if day is None else np.stack([day.driven.get(int(i), modes.phi[i]) for i in at])
+    moving = -((2 * np.pi * f) ** 2) * kernel * (drives.T @ forces[:, lines])
     shapes = (modes.phi if day is None else day.shown)[rows_]
     seen = None if day is None else day.seen(f, rows_, at)
     predicted = shapes @ moving if seen is None else np.einsum("lqk,kl->ql", seen, forces[:, lines])
     error = responses[:, lines] - predicted
     ringing = modes.ringing(record.sampling_hz)
     nuisance = free_decays(f, modes.poles[ringing], 1 / record.sampling_hz)
-    prior = np.diag(1 / np.maximum(decay_sizes(modes, ringing, directions, forces, hz, float(f[0])), 1e-150) ** 2)
+    prior = np.diag(1 / np.maximum(decay_sizes(modes, ringing, drives, forces, hz, float(f[0])), 1e-150) ** 2)
     changing, beside = np.zeros(0, int), np.zeros(error.shape, complex)
     level = np.mean(np.abs(responses[:, lines]) ** 2, axis=1, keepdims=True)
     if day is not None:
@@ -177,7 +176,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         n,
         rows_,
         tuple(int(i) for i in at),
-        directions,
+        drives,
         forces,
         responses,
         lines,
@@ -230,7 +229,7 @@ def evened(values: Real, count: int, width: int, lines: int) -> Real:
     return np.asarray(np.repeat(np.add.reduceat(values, starts, axis=1) / size, lines, axis=1)[:, :count])
 
 
-def decay_sizes(modes: Modes, ringing: NDArray[np.int_], directions: Real, forces: Complex, hz: Real, low_hz: float) -> Real:
+def decay_sizes(modes: Modes, ringing: NDArray[np.int_], drives: Real, forces: Complex, hz: Real, low_hz: float) -> Real:
     """Sizes (2r,) of the free decays in modal acceleration: some times the state (rms) that forces (k, N//2+1) from ``low_hz`` on keep up.
 
     A mode beyond the band rings as others do, but hardly shows in it: left free it would take any size, and move the place by any
@@ -242,11 +241,10 @@ def decay_sizes(modes: Modes, ringing: NDArray[np.int_], directions: Real, force
     w = 2 * np.pi * hz[keep]
     here = modes.only(ringing)
     gain = np.abs(here.receptance_kernel(hz[keep])) ** 2 * (w0[:, None] ** 2 + w**2)
-    phi = modes.phi[:, ringing]
-    usual = np.mean(phi**2, axis=0)
+    usual = np.mean(modes.phi[:, ringing] ** 2, axis=0)
     power = np.zeros(ringing.size)
-    for b, f in zip(directions, forces, strict=True):
-        power += np.maximum((b @ phi) ** 2, usual) * (gain @ np.abs(f[keep]) ** 2)
+    for drive, f in zip(drives[:, ringing], forces, strict=True):
+        power += np.maximum(drive**2, usual) * (gain @ np.abs(f[keep]) ** 2)
     size = SLACK * w0 * np.sqrt(power) / n
     return np.concatenate([size, size])
 

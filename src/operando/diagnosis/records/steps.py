@@ -28,7 +28,7 @@ ROUGH_ROUNDS = 1
 TURNS, FIRST_TURNS, STILL_OPEN = 6, 2, 2.0
 """Turns in which law and motion are brought together; turns for all finalists, and how far from the best one is worth the others."""
 
-FLOOR, NEARLY = 3.0, 0.01
+FLOOR, NEARLY = 1.2, 0.01
 """Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do. Another
 day leaves that below the noise: hysteresis was a saturating spring where noise was what came near (rotor 10350)."""
 
@@ -87,10 +87,12 @@ class SearchStep:
 
 def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], None] | None, at_first: float | None) -> SearchStep:
     """Rank the places, weigh the lines by what the best one leaves (at first), fit all laws at the best places."""
-    ranked = rank_places(case, case.places, say)
+    if say:
+        say(f"{len(case.places)} locations")
+    ranked = rank_places(case, case.places)
     if at_first is None:
         case = weighed(case, ranked[0][1])
-        ranked = rank_places(case, [p for _, p in ranked[:8]])
+        ranked = rank_places(case, case.places)
     sets = Sets.of(case)
     base_select, base_validation = baseline(sets)
     near = [p for misfit, p in ranked if misfit <= WITHIN * ranked[0][0]][:KEPT]
@@ -100,17 +102,16 @@ def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], No
     if say:
         say(f"fit force laws at {'; '.join(case.place_name(p) for p in near)}")
 
-    def compared(places: Sequence[tuple[int, ...]]) -> tuple[list[Spot], list[tuple[float, Spot, ForceLaw]]]:
-        spots = each(lambda p: examine(sets, p), places)
-        wanted = [(spot, name, side) for spot in spots for name in kinds if name != "hysteresis" for side in sides(name)]
-        return spots, [r for r in each(lambda w: roughly(*w), wanted) if r is not None]
+    def compared(some: Sequence[Spot]) -> list[tuple[float, Spot, ForceLaw]]:
+        wanted = [(spot, name, side) for spot in some for name in kinds if name != "hysteresis" for side in sides(name)]
+        return [r for r in each(lambda w: roughly(*w), wanted) if r is not None]
 
-    spots, rough = compared(near[:1])
+    spots = each(lambda p: examine(sets, p), near)
+    rough = compared(spots[:1])
     # No law leaves less than what no force at its place explains.
     bound = WORTH * min((r[0] for r in rough), default=np.inf)
-    misfits = {place: misfit for misfit, place in ranked}
-    further = compared([p for p in near[1:] if misfits[p] <= bound])
-    spots, rough = spots + further[0], sorted(rough + further[1], key=lambda r: r[0])
+    further = [s for s in spots[1:] if s.free <= bound]
+    spots, rough = spots[:1] + further, sorted(rough + compared(further), key=lambda r: r[0])
     floor = min((s.free for s in spots), default=1.0)
     simple = max(FLOOR * floor, NEARLY * (at_first or base_select))
     if at_first is not None and len(case.places) == 1 and rough and base_select <= simple and rough[0][0] > UNPROMISING * base_select:
@@ -267,7 +268,8 @@ def improves(step: SearchStep, best: Tried, before: Sequence[Tried] = ()) -> boo
 def with_law(case: RecordsCase, best: Tried) -> RecordsCase:
     """The case with the restoring force of an accepted law as one more known force."""
     spot = best.spot
-    return case.with_runs([r.with_force(spot.b, m.along.h, -m.spectrum(best.law)) for r, m in zip(case.runs, spot.whole, strict=True)])
+    drive = case.modes.phi.T @ spot.b
+    return case.with_runs([r.with_force(drive, m.along.h, -m.spectrum(best.law)) for r, m in zip(case.runs, spot.whole, strict=True)])
 
 
 def block_misfits(tried: Tried) -> Real:

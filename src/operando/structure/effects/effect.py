@@ -136,12 +136,12 @@ class Effect:
 
     @property
     def supported(self) -> bool:
-        """Whether the 95 % interval of every fitted value leaves out the value at which the effect says nothing: a gain of 1, else 0.
+        """Whether the 95 % interval of its size, which is its first value, leaves out that at which the effect says nothing: a gain of 1, else 0.
 
-        Values that may be 0 by the catalogue are not asked, as the speed below which friction is smoothed, and no exponents: 0 is none.
+        Further values say of which form it is: a contact without a gap is one, too.
         """
-        asked = [p.name for p in self.definition.parameters if p.low != 0.0 and p.name != "exponent" and p.name in self.std]
-        return all(abs(float(self.values[n]) - (1.0 if n == "gain" else 0.0)) > INTERVAL * self.std[n] for n in asked)
+        size = self.definition.parameters[0].name if self.definition.parameters else ""
+        return size not in self.std or abs(float(self.values[size]) - (size == "gain")) > INTERVAL * self.std[size]
 
     @property
     def sign(self) -> float:
