@@ -136,7 +136,7 @@ class Effect:
 
     @property
     def supported(self) -> bool:
-        """Whether the 95 % interval of its size, which is its first value, leaves out that at which the effect says nothing: a gain of 1, else 0.
+        """Whether the 95 % interval of its size, its first value, leaves out that at which the effect says nothing: a gain of 1, else 0.
 
         Further values say of which form it is: a contact without a gap is one, too.
         """
