@@ -50,7 +50,7 @@ def day_with(sensor_gains=None, sensor_std=0.0, force_std=0.0, open_=True, shown
     shown = np.array(terms.shapes)
     askew = shown_std * np.abs(shown[:, :n])
     return Day(
-        wrong, shown, askew, np.arange(n), covariance, gains, np.full(m, sensor_std), {}, {}, force_std, lambda hz, rows, driven: None
+        wrong, shown, askew, np.arange(n), covariance, gains, np.full(m, sensor_std), {}, {}, force_std, {}, lambda hz, rows, driven: None
     )
 
 

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from operando.data import ModalModel
 from operando.diagnosis.between import spreads_of
 from operando.diagnosis.by_hand import estimated, fitted_to
+from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
 from operando.diagnosis.posterior import State
@@ -22,6 +23,8 @@ from operando.structure.effects import Effect
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
+
+SPRINGS = ("ground_spring", "ground_damper", "coupling_spring", "coupling_damper")
 
 
 def day_of(
@@ -67,7 +70,9 @@ def usual_day(idle: ModalModel, between: Mapping[str, float]) -> Day:
     shapes, one = np.asarray(idle.terms.shapes, float), np.ones(m)
     seen = np.tile(spread["seen"] * np.sqrt(np.mean(shapes[:, modes] ** 2, axis=0)), (m, 1))
     covariance = _usual(modes.size, spread)
-    return Day(idle, shapes, seen, modes, covariance, one, spread["sensor"] * one, {}, {}, spread["force"], lambda hz, rows, driven: None)
+    return Day(
+        idle, shapes, seen, modes, covariance, one, spread["sensor"] * one, {}, {}, spread["force"], {}, lambda hz, rows, driven: None
+    )
 
 
 def _usual(n: int, spread: Mapping[str, float]) -> Array:
@@ -119,8 +124,17 @@ class _Bare:
             dict(zip(forward.references.tolist(), forces.tolist(), strict=True)),
             dict(zip(forward.references.tolist(), driven, strict=True)),
             float(np.sqrt(np.mean(force_std**2))) if force_std.size else 0.0,
+            self.springs(),
             self.accelerance,
         )
+
+    def springs(self) -> dict[tuple[int, ...], tuple[float, float]]:
+        """Standard deviations of spring and damper where both were fitted, by the rows of their location in order."""
+        std: dict[tuple[int, ...], dict[str, float]] = {}
+        for effect, term in zip(effects_of(self.state), self.state.terms, strict=True):
+            if effect.kind in SPRINGS and len(effect.std) == 1:
+                std.setdefault(tuple(sorted(term.places)), {}).update(effect.std)
+        return {place: (found["stiffness"], found["damping"]) for place, found in std.items() if len(found) == 2}
 
     def gains(self) -> tuple[Array, Array]:
         """Of the sensors at all DOFs, (DOFs,), and of the forces, (references,): what they show over what there is."""

@@ -40,6 +40,9 @@ class Day:
         Shapes (terms,) under which the forces drive, by rows of the idle model: they were put back elsewhere and askew, too.
     force_std : float
         Relative, in the mean over the forces.
+    springs : dict
+        Standard deviations of a spring [N/m] and a damper [N·s/m] that were fitted with this day, by the rows of their location in order.
+        FRFs know the one with the other: as far as these go the day may be another one, with another spring there.
     seen : callable
         Accelerances without these gains; None where no FRF shows one of them.
     """
@@ -54,6 +57,7 @@ class Day:
     force_gains: dict[int, float]
     driven: dict[int, Real]
     force_std: float
+    springs: dict[tuple[int, ...], tuple[float, float]]
     seen: Seen
 
     def corrected(self, record: TimeRecord) -> TimeRecord:

@@ -18,6 +18,9 @@ from scipy.linalg import cho_factor, cho_solve
 from operando.diagnosis.records.run import Run
 from operando.structure.modal_space import Complex, Real
 
+TOGETHER = 8.0
+"""Errors stay together over so many lines: what is stated with a standard deviation counts by as much more against them."""
+
 Normal = tuple[Real, Real, float]
 """Normal equations: gram (c, c), right (c,), and Σ|weighted error|² that there is to explain."""
 
@@ -119,6 +122,8 @@ class Along:
     gain: Real  # |h/σ| over all responses: how strongly a force at the place shows on a line (L,)
     error: Complex  # part of the weighted error along h (L,)
     nuisance: Complex  # parts of the nuisance along h (J, L)
+    open: Complex  # restoring forces of a unit of the spring and damper that another day leaves open here (2, L), or of none
+    open_prior: Real  # inverse variances of their sizes
 
     @classmethod
     def of(cls, weighted: Weighted, b: Real, h: Complex) -> Along:
@@ -129,7 +134,7 @@ class Along:
         u = seen / gain
         error = np.sum(u.conj() * weighted.error, axis=0)
         nuisance = run.nuisance * ((u.conj() * weighted.root).T @ run.nuisance_shapes).T
-        return cls(weighted, b, h, gain, error, nuisance)
+        return cls(weighted, b, h, gain, error, nuisance, *_open_springs(run, b))
 
     @property
     def run(self) -> Run:
@@ -162,12 +167,29 @@ class Along:
         return force, amplitudes, total - float(amplitudes @ right)
 
     def normal(self, forces: Complex) -> Normal:
-        """Normal equations of a regression of the error on restoring forces (c, L), nuisance eliminated."""
-        both = apart(-forces * self.gain)
+        """Normal equations of a regression of the error on restoring forces (c, L), nuisance and open springs eliminated."""
+        n = len(forces)
+        gram, right, total = self._with_open(forces)
+        if len(gram) == n:
+            return gram, right, total
+        inner = np.linalg.solve(gram[n:, n:], np.column_stack([gram[n:, :n], right[n:]]))
+        out = gram[:n, n:] @ inner
+        return gram[:n, :n] - out[:, :-1], right[:n] - out[:, -1], total - float(right[n:] @ inner[:, -1])
+
+    def beside(self, force: Complex) -> Complex:
+        """A restoring force (L,) with what open springs there add to it."""
+        gram, right, _ = self._with_open(force[None])
+        return np.asarray(force + np.linalg.solve(gram[1:, 1:], right[1:] - gram[1:, 0]) @ self.open) if len(gram) > 1 else force
+
+    def _with_open(self, forces: Complex) -> Normal:
+        """Normal equations of restoring forces (c, L) and of the open springs after them, nuisance eliminated."""
+        n = len(forces)
+        both = apart(np.asarray(-np.concatenate([forces, self.open]) * self.gain, complex))
         cross = both @ apart(self.nuisance).T
         inner = cho_solve(cho_factor(self.weighted.gram), np.column_stack([cross.T, self.weighted.right]))
         gram = both @ both.T - cross @ inner[:, :-1]
         right = both @ apart(self.error) - cross @ inner[:, -1]
+        gram[np.arange(n, len(gram)), np.arange(n, len(gram))] += self.open_prior
         return gram, right, self.weighted.total - float(self.weighted.right @ inner[:, -1])
 
     def under(self, force: Complex) -> Weighted:
@@ -183,4 +205,16 @@ class Along:
             gain=self.gain[keep],
             error=self.error[keep],
             nuisance=self.nuisance[:, keep],
+            open=self.open[:, keep],
         )
+
+
+def _open_springs(run: Run, b: Real) -> tuple[Complex, Real]:
+    """Restoring forces of a unit of spring and damper across a place b under the motion measured, and inverse variances of their sizes."""
+    place = np.flatnonzero(b)
+    at = np.array([int(np.flatnonzero(run.rows == i)[0]) for i in place if i in run.rows], int)
+    std = run.springs.get(tuple(place.tolist()))
+    if std is None or at.size < place.size:
+        return np.zeros((0, run.hz.size), complex), np.zeros(0)
+    x = b[place] @ (run.beside[at] - run.responses[at][:, run.lines]) / run.omega**2
+    return np.stack([x, 1j * run.omega * x]), (TOGETHER / np.asarray(std)) ** 2

@@ -9,7 +9,7 @@ import numpy as np
 from operando.diagnosis.records.day import Day, powers
 from operando.diagnosis.records.fit_laws import law_cost
 from operando.diagnosis.records.motion import Motion
-from operando.diagnosis.records.place import Normal, solved, summed
+from operando.diagnosis.records.place import TOGETHER, Normal, solved, summed
 from operando.diagnosis.records.steps import Tried
 from operando.structure.force_law import ForceLaw
 from operando.structure.modal_space import Real
@@ -24,8 +24,8 @@ TURNS, ENOUGH = 4, 1e-3
 FARTHEST = 0.3
 """Relative change of a value in one step, at most."""
 
-TOGETHER, LEAST = 8.0, 0.0015
-"""Errors stay together over so many lines; a value is known to this part at best, as the scale of the idle model is."""
+LEAST = 0.0015
+"""A value is known to this part at best, as the scale of the idle model is."""
 
 OTHER_DAY = 1.5
 """Standard deviations on another day over those that the curvature, the scatter of runs, gains and shapes account for: rms of z of 50

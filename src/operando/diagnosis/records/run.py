@@ -66,6 +66,7 @@ class Run:
     beside: Complex  # accelerations that the sensors show beside those of their DOFs (q, L)
     changing: NDArray[np.int_]  # modes whose frequency, then damping, the columns after the decays change (2n,)
     force_level: float  # rms of all forces [N]
+    springs: dict[tuple[int, ...], tuple[float, float]]  # of :class:`Day`; empty on the day of the idle model
 
     @property
     def all_hz(self) -> Real:
@@ -169,7 +170,8 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         beside = (shapes - modes.phi[rows_]) @ moving
         nuisance = np.concatenate([nuisance, day.slopes(modes, kernel, moving, f)])
         prior = block_diag(prior, np.linalg.inv(day.covariance + EXACT**2 * np.eye(changing.size)))
-    own = own_variance(idle, rows_, tuple(int(i) for i in at), forces[:, lines], f)
+    # FRFs of the day itself say what the forces do, and hold the errors of the idle model no more.
+    own = np.zeros(error.shape) if seen is not None else own_variance(idle, rows_, tuple(int(i) for i in at), forces[:, lines], f)
     return Run(
         record.name,
         record.sampling_hz,
@@ -194,6 +196,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         beside,
         changing,
         float(np.sqrt(np.mean(data[list(driven)] ** 2))),
+        {} if day is None else day.springs,
     )
 
 

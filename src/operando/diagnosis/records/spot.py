@@ -54,7 +54,7 @@ class Spot:
 
     def errors(self, law: ForceLaw) -> list[Complex]:
         """Errors (q, L) of all runs with the law."""
-        return [m.along.weighted.raw + m.along.h * m.under(law) for m in self.whole]
+        return [m.along.weighted.raw + m.along.h * m.along.beside(m.under(law)) for m in self.whole]
 
 
 def rank_places(case: RecordsCase, places: Sequence[tuple[int, ...]]) -> list[tuple[float, tuple[int, ...]]]:

@@ -9,11 +9,12 @@ import numpy as np
 
 from operando.diagnosis.records.case import RecordsCase, Sets
 from operando.diagnosis.records.fit_laws import fit_law, law_cost, linear_law, misfit
+from operando.diagnosis.records.motion import Motion
 from operando.diagnosis.records.out_of_band import OutOfBand, force_columns, look
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
 from operando.structure.effects import kind_of
 from operando.structure.force_law import ForceLaw
-from operando.structure.modal_space import Real
+from operando.structure.modal_space import Complex, Real
 from operando.threads import each
 
 IMPROVES, PARSIMONY = 0.10, 0.03
@@ -269,14 +270,20 @@ def with_law(case: RecordsCase, best: Tried) -> RecordsCase:
     """The case with the restoring force of an accepted law as one more known force."""
     spot = best.spot
     drive = case.modes.phi.T @ spot.b
-    return case.with_runs([r.with_force(drive, m.along.h, -m.spectrum(best.law)) for r, m in zip(case.runs, spot.whole, strict=True)])
+
+    def force(m: Motion) -> Complex:
+        out = np.array(m.spectrum(best.law))
+        out[m.along.run.lines] = m.along.beside(m.under(best.law))
+        return out
+
+    return case.with_runs([r.with_force(drive, m.along.h, -force(m)) for r, m in zip(case.runs, spot.whole, strict=True)])
 
 
 def block_misfits(tried: Tried) -> Real:
     """Chi-square on each block of the select set."""
     out = []
     for m in tried.spot.select:
-        power = np.mean(np.abs(m.along.under(m.under(tried.law)).decayed()) ** 2, axis=0)
+        power = np.mean(np.abs(m.along.under(m.along.beside(m.under(tried.law))).decayed()) ** 2, axis=0)
         part = np.minimum(m.along.run.lines * BLOCKS // (m.along.run.lines[-1] + 1), BLOCKS - 1)
         out += [float(np.mean(power[part == b])) for b in np.unique(part)]
     return np.array(out)
