@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
+from scipy.optimize import linear_sum_assignment
 
 from operando.data import ModalModel
 from operando.diagnosis.between import spreads_of
 from operando.diagnosis.by_hand import estimated, fitted_to
 from operando.diagnosis.corrected import effects_of
+from operando.diagnosis.derivatives import Moved
 from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
 from operando.diagnosis.posterior import State
@@ -103,6 +105,7 @@ class _Bare:
         if moved.phi.shape != idle.terms.shapes.shape:
             return None
         between, (std_d, std_own) = forward.between, self.state.std()
+        f, zeta, turn = self.uncoupled(moved)
         shown = np.array(moved.phi, float)
         shown[:, modes] += between.across(between.own_parts(self.x.own[:, forward.n_shape :])["seen"])
         sensor, force = between.own["sensor"], between.shared["force"]
@@ -111,10 +114,13 @@ class _Bare:
         seen_std = own_std[:, seen] if seen.stop > seen.start else np.zeros((len(own_std), modes.size))
         driven = np.array(moved.phi[forward.references])
         driven[:, modes] += between.across(between.shared_parts(self.x.d)["driven"].reshape(-1, modes.size), forward.references)
+        shapes = np.array(moved.phi, float)
+        for rows in (shapes, shown, driven):
+            rows[:, modes] = rows[:, modes] @ turn
         force_std = (std_d * between.shared_spread)[force]
         sensors, forces = self.gains()
         return Day(
-            idle.with_terms(frequencies_hz=moved.f, damping_ratios=moved.zeta, shapes=moved.phi),
+            idle.with_terms(frequencies_hz=f, damping_ratios=zeta, shapes=shapes),
             shown,
             between.across_std(seen_std),
             modes,
@@ -127,6 +133,21 @@ class _Bare:
             self.springs(),
             self.accelerance,
         )
+
+    def uncoupled(self, moved: Moved) -> tuple[Array, Array, Array]:
+        """Frequencies and damping of all terms with the stiffness between modes, and the modes (n, n) with it in terms of those without."""
+        forward = self.state.case.forward
+        between, modes = forward.between, np.asarray(forward.modes)
+        one, two = (np.searchsorted(modes, part) for part in (between.first, between.second))
+        stiffness = np.diag((2 * np.pi * moved.f[modes]) ** 2)
+        stiffness[one, two] = stiffness[two, one] = between.shared_parts(self.x.d)["stiffness_between"] * between.stiffness_scale
+        squares, vectors = np.linalg.eigh(stiffness)
+        order = linear_sum_assignment(-(vectors**2))[1]  # each mode where the one was that it comes from
+        turn = vectors[:, order] * np.sign(np.diag(vectors[:, order]))
+        f, zeta = np.array(moved.f), np.array(moved.zeta)
+        f[modes] = np.sqrt(squares[order]) / (2 * np.pi)
+        zeta[modes] = (moved.zeta[modes] * moved.f[modes]) @ turn**2 / f[modes]
+        return f, zeta, turn
 
     def springs(self) -> dict[tuple[int, ...], tuple[float, float]]:
         """Standard deviations of spring and damper where both were fitted, by the rows of their location in order."""
