@@ -6,12 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from operando.compare.verdict import SURE
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
 from operando.diagnosis.another_day import day_of, usual_day
 from operando.diagnosis.arguments import chosen_run
-from operando.diagnosis.records import Day, RecordsApplied, RecordsDiagnosis, diagnose_records
-from operando.dof import Dof
+from operando.diagnosis.records import Day, FoundLaws, RecordsApplied, RecordsDiagnosis, diagnose_records
+from operando.dof import Dof, DofIndex
 from operando.errors import OperandoError
 from operando.results import CheckRun
 from operando.structure import linear_effects
@@ -70,7 +72,8 @@ class RecordsAndDays:
     def on_that_day(self, seen: RecordsDiagnosis, effects: Sequence[Effect] = ()) -> RecordsDiagnosis:
         """The day beside linear effects, then beside a spring and a damper at each location where the records show a force law.
 
-        What explains most stands. The FRFs know a spring no better than what it is beside, and the records hold the day to it by no more.
+        FRFs know a spring no better than what it is beside, and the records hold the day to it by no more. Beside the law that leaves
+        least the day is found once more, from FRFs as they were with one spring and damper for all forces. What explains most stands.
         """
         run = chosen_run(self.check)
 
@@ -79,28 +82,52 @@ class RecordsAndDays:
             other = self.diagnosis(day)
             return replace(other, notes=(*other.notes, words.format(run=run.name)))
 
-        def beside(linear: Sequence[Effect]) -> RecordsDiagnosis | None:
-            day = day_of(self.idle, linear, run, self.progress, **self.of_frfs)
-            return None if day is None else on(day, OF_A_DAY)
-
-        def better(one: RecordsDiagnosis | None, other: RecordsDiagnosis) -> RecordsDiagnosis:
-            return one if one is not None and _says_more(one, other) else other
+        def beside(linear: Sequence[Effect], measured: CheckRun = run) -> list[RecordsDiagnosis]:
+            day = day_of(self.idle, linear, measured, self.progress, **self.of_frfs)
+            return [] if day is None else [on(day, OF_A_DAY)]
 
         try:
-            other = beside(effects)
-            if other is None:
+            days = beside(effects)
+            if not days:
                 return seen
             # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
-            found = seen.locations if seen.nonlinear else ()
-            for location in dict.fromkeys((*other.locations, *found)):
-                other = better(beside(spring_and_damper(location, self.band or self.idle.band_hz)), other)
-            if len(other.nonlinear) > 1:
-                other = better(beside(linear_at(other, run)), other)
-            if not (seen.nonlinear or other.nonlinear):
-                other = on(usual_day(self.idle, self.between or {}), OF_ANY_DAY)
+            for location in dict.fromkeys((*days[0].found.locations, *(seen.found.locations if seen.nonlinear else ()))):
+                days += beside(spring_and_damper(location, self.band or self.idle.band_hz))
+            best = min(days, key=lambda day: day.found.error_db).found
+            if any(best.equivalents):
+                days += beside(linear_at(best, run), as_beside_one(run, best))
+            if not any(day.nonlinear for day in (seen, *days)):
+                days.append(on(usual_day(self.idle, self.between or {}), OF_ANY_DAY))
         except OperandoError as error:
             return replace(seen, notes=(*seen.notes, NO_DAY.format(why=error.message)))
-        return better(other, seen)
+        for day in days:
+            seen = day if _says_more(day, seen) else seen
+        return seen
+
+
+def as_beside_one(run: CheckRun, found: FoundLaws) -> CheckRun:
+    """FRFs as they were if each force law were one spring and damper for all forces: the mean of those under each force.
+
+    The column of a force changes by that of the running model at the location times the difference of the two, times the motion measured
+    there. A force whose equivalent is not known keeps its column.
+    """
+    frf, w = run.frf, 2 * np.pi * run.frf.frequencies_hz
+    data, shown = np.array(frf.data), DofIndex(frf.responses)
+    for effect, rows in zip(found.effects, found.equivalents, strict=True):
+        if found.model is None or not rows or run.force_n is None or any(d not in shown for d in effect.location):
+            continue
+        across = np.array([1.0, -1.0])[: len(effect.location)]
+        moved = np.tensordot(across, frf.select(responses=effect.location).values("receptance"), 1)
+        column = (
+            found.model.frf(frf.frequencies_hz, frf.responses, effect.location, frf.quantity, variance=False).data.swapaxes(1, 2) @ across
+        )
+        same = [row for row in rows if one_level(row.level, run.force_n)] or rows
+        mean = [float(np.mean([getattr(row, name) for row in same])) for name in ("stiffness", "damping")]
+        for k, reference in enumerate(frf.references):
+            for row in [row for row in same if row.at(run.force_n, reference)][:1]:
+                less = mean[0] - row.stiffness + 1j * w * (mean[1] - row.damping)
+                data[:, k] -= column * less * moved[k]
+    return replace(run, frf=replace(frf, data=data))
 
 
 def _says_more(one: RecordsDiagnosis, other: RecordsDiagnosis) -> bool:
@@ -114,7 +141,7 @@ def _says_more(one: RecordsDiagnosis, other: RecordsDiagnosis) -> bool:
     return left[0] < left[1]
 
 
-def linear_at(seen: RecordsDiagnosis | RecordsApplied, run: CheckRun) -> list[Effect]:
+def linear_at(seen: RecordsDiagnosis | RecordsApplied | FoundLaws, run: CheckRun) -> list[Effect]:
     """The effects as FRFs of a run have them: of level-dependent ones the mean spring and damper of records at its level, or of all."""
     out: list[Effect] = []
     for effect, rows in zip(seen.effects, seen.equivalents, strict=True):

@@ -12,7 +12,7 @@ from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.diagnose import diagnose_records, measured_distortion
 from operando.diagnosis.records.fit_laws import fit_law, linear_law
 from operando.diagnosis.records.refine import refined, std_of, stepped
-from operando.diagnosis.records.result import RecordsApplied, RecordsDiagnosis
+from operando.diagnosis.records.result import FoundLaws, RecordsApplied, RecordsDiagnosis
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
 from operando.diagnosis.records.steps import SearchStep, Tried, settle_law
 from operando.diagnosis.records.surface import parity
@@ -21,6 +21,7 @@ __all__ = [
     "DISCREPANCY",
     "Day",
     "Detection",
+    "FoundLaws",
     "RecordsApplied",
     "RecordsCase",
     "RecordsDiagnosis",

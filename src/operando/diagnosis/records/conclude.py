@@ -16,10 +16,11 @@ from operando.diagnosis.records.fit_laws import free_law
 from operando.diagnosis.records.hold_out import Discrepancy, judged_on, step_row, where_it_fails
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.refine import std_of
-from operando.diagnosis.records.result import Equivalents, RecordsDiagnosis, linear_model
+from operando.diagnosis.records.result import Equivalents, FoundLaws, RecordsDiagnosis, linear_model
 from operando.diagnosis.records.steps import SearchStep, Tried, alike, nested
 from operando.diagnosis.records.surface import equivalents, surface
 from operando.diagnosis.result import spacing
+from operando.dof import Dof
 from operando.errors import DataError
 from operando.structure.effects import Effect
 
@@ -85,10 +86,9 @@ def conclude(
     """Verdict, errors by step and words; ``more``: why something may be missing still."""
     last = steps[-1].case
     notes: list[str] = []
-    places = dict.fromkeys([*(t.spot.place for t in accepted[:1]), steps[0].place])
     found = [effect_of(first, t) for t in accepted]
     weak = next((k for k, e in enumerate(found) if not e.supported), len(found))
-    effects, dropped, accepted = found[:weak], found[weak:], accepted[:weak]
+    every, (effects, dropped, accepted) = accepted, (found[:weak], found[weak:], accepted[:weak])
     if dropped:
         more = f"{dropped[0].kind} at {dropped[0].place} is a candidate only: its 95 % interval holds zero"
     weighted = [Weighted.of(r) for r in last.runs]
@@ -121,7 +121,8 @@ def conclude(
     notes += too_fast(effects, accepted, len(first.fitted), rows[-1]["heldout_misfit"])
     if not first.validation:
         notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")
-    same = equivalents_of(first, effects, accepted)
+    search = found_laws(last, weighted, every, found, tuple(first.idle.dofs[i] for i in steps[0].place), geometry)
+    same = search.equivalents[: len(accepted)]
     candidates = [candidate_row(first, t, steps[0].base_select) for t in steps[0].tried]
     return RecordsDiagnosis(
         verdict,
@@ -142,9 +143,25 @@ def conclude(
         detection=detection,
         simulation=simulated(steps[0].case, accepted, notes),
         equivalents=same,
-        locations=tuple(tuple(first.idle.dofs[i] for i in place) for place in places),
+        found=search,
         notes=tuple(notes),
     )
+
+
+def found_laws(
+    last: RecordsCase,
+    weighted: Sequence[Weighted],
+    accepted: Sequence[Tried],
+    effects: Sequence[Effect],
+    location: tuple[Dof, ...],
+    geometry: Geometry | None,
+) -> FoundLaws:
+    """What the search accepted, with the error that it leaves."""
+    if not accepted:
+        return FoundLaws(location=location)
+    same = equivalents_of(last, effects, accepted)
+    row = step_row(len(effects), effects[-1], last, weighted, accepted[-1].spot.errors(accepted[-1].law))
+    return FoundLaws(tuple(effects), same, row["heldout_error_db"], location, linear_model(last.idle, effects, same, geometry))
 
 
 def is_allowed(left: Discrepancy, idle: Discrepancy, chi_square: Sequence[float]) -> bool:

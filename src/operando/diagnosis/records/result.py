@@ -19,6 +19,34 @@ Equivalents = tuple[tuple[LinearEquivalent, ...], ...]
 """Spring and damper at each level for each effect; none for a linear one."""
 
 
+@dataclass(frozen=True)
+class FoundLaws:
+    """Force laws that the search of records accepted, whether the verdict keeps them or not.
+
+    Attributes
+    ----------
+    effects, equivalents : tuples
+        As of a diagnosis.
+    error_db : float
+        With them on the hold-out set.
+    location : tuple of Dof
+        Where any force law explains most.
+    model : Model or None
+        The idle model with what these are equivalent to at the lowest level.
+    """
+
+    effects: tuple[Effect, ...] = ()
+    equivalents: Equivalents = ()
+    error_db: float = float("inf")
+    location: tuple[Dof, ...] = ()
+    model: Model | None = None
+
+    @property
+    def locations(self) -> tuple[tuple[Dof, ...], ...]:
+        """Where a force may act that the idle model lacks: that of the first law, and where any explains most."""
+        return tuple(dict.fromkeys([*(e.location for e in self.effects[:1]), *([self.location] if self.location else [])]))
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class RecordsDiagnosis(Diagnosis):
     """A diagnosis from records with measured force, level-dependent effects among its effects.
@@ -31,15 +59,14 @@ class RecordsDiagnosis(Diagnosis):
         The model with its effects in the closed loop against the validation records.
     equivalents : tuple of tuple of LinearEquivalent
         For each effect the spring and damper it is equivalent to at each level; empty for a linear one.
-    locations : tuple of tuple of Dof
-        Where a force may act that the idle model lacks: that of the first force law found, supported or not, and that at which any force
-        explains most.
+    found : FoundLaws
+        What the search found before it was judged.
     """
 
     detection: Detection = field(default_factory=Detection)
     simulation: dict[str, Any] = field(default_factory=dict)
     equivalents: Equivalents = ()
-    locations: tuple[tuple[Dof, ...], ...] = ()
+    found: FoundLaws = field(default_factory=FoundLaws)
 
     @property
     def nonlinear(self) -> tuple[Effect, ...]:
