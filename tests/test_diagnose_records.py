@@ -250,7 +250,7 @@ def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws,
         laws[spot.place] = left if spot.place == of_laws else 1.5 * left
         return laws[spot.place], spot, steps.ForceLaw(kind, {}, side)
 
-    monkeypatch.setattr(steps, "rank_places", lambda case, places, say=None: [(1.0, (1, 3)), (1.01, (3,))])
+    monkeypatch.setattr(steps, "rank_places", lambda case, places: [(1.0, (1, 3)), (1.01, (3,))])
     monkeypatch.setattr(steps, "Sets", SimpleNamespace(of=lambda case: None))
     monkeypatch.setattr(steps, "baseline", lambda sets: (100.0, 100.0))
     monkeypatch.setattr(steps, "examine", lambda sets, place: spots[place])
@@ -355,7 +355,8 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
 
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"], between={"damping": 0.2})
-    assert asked[:4] == ([None, "of FRFs", "of FRFs", ("left open", {"damping": 0.2})] if another else [None])
+    # beside nothing, beside a spring and a damper where a law was found, and beside that law
+    assert asked[:5] == ([None, *["of FRFs"] * 3, ("left open", {"damping": 0.2})] if another else [None])
     assert made.verdict == ("explained" if another else "unexplained")
     assert any("may differ as between two days" in note for note in made.notes) == another
 
@@ -387,14 +388,13 @@ def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypa
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
-    assert law.locations == (there,)
+    assert law.found.locations == (there,)
     worse = (law.ladder[0], law.ladder[-1] | {"heldout_error_db": 2 * law.ladder[-1]["heldout_error_db"]})
 
     def looked(idle, records, day=None, **options):
         if not day:
-            return replace(
-                law, verdict="unexplained", effects=(), equivalents=(), locations=((Dof.parse("3+Z"),), there, (Dof.parse("4+Z"),))
-            )
+            first = replace(law.found, location=(Dof.parse("3+Z"),))
+            return replace(law, verdict="unexplained", effects=(), equivalents=(), found=first)
         return law if any("5+Z" in text for text in day) else replace(law, ladder=worse, notes=("elsewhere",))
 
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
@@ -404,16 +404,25 @@ def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypa
 
 
 @pytest.mark.parametrize(
-    ("told", "wanted"), [((), "hysteresis"), (("coulomb_friction",), "coulomb_friction"), (("hysteresis",), "hysteresis")]
+    ("told", "times", "wanted"),
+    [
+        ((), 0.9, "hysteresis"),
+        (("coulomb_friction",), 0.9, "coulomb_friction"),
+        (("coulomb_friction",), 1.1, "hysteresis"),
+        (("hysteresis",), 0.9, "hysteresis"),
+    ],
 )
-def test_a_law_whose_values_stay_open_gives_way_to_one_that_it_contains(monkeypatch, told, wanted):
-    """Hysteresis that slips at once is dry friction: 4 % nearer, of a stiffness that nothing tells (rotor 10395)."""
+def test_a_law_whose_values_stay_open_gives_way_to_one_that_it_contains(monkeypatch, told, times, wanted):
+    """Hysteresis that slips at once is dry friction: 4 % nearer, of a stiffness that nothing tells (rotor 10395); by ``ALIKE_AT_MOST``."""
     module = sys.modules["operando.diagnosis.records.diagnose"]
     spots = [SimpleNamespace(place=place) for place in ((4,), (4,), (5,), (4,))]
     kinds = ("hysteresis", "saturating_spring", "coulomb_friction", "coulomb_friction")
-    tried = [steps.Tried(spot, ForceLaw(kind, {}), 1.0 + k, 1.0) for k, (spot, kind) in enumerate(zip(spots, kinds, strict=True))]
+    tried = [
+        steps.Tried(spot, ForceLaw(kind, {}), 1.0 + k / 3 * times * steps.ALIKE_AT_MOST, 1.0)
+        for k, (spot, kind) in enumerate(zip(spots, kinds, strict=True))
+    ]
     step = steps.SearchStep(None, (4,), 50.0, 50.0, tried)
-    monkeypatch.setattr(module, "effect_of", lambda case, t: SimpleNamespace(supported=t.law.kind in told))
+    monkeypatch.setattr(module, "effect_of", lambda case, t: SimpleNamespace(determined=t.law.kind in told))
     monkeypatch.setattr(module, "refined", lambda t: t)
     monkeypatch.setattr(module, "closed_loop_force", lambda case, t: t)
     monkeypatch.setattr(module, "improves", lambda step, t, before: True)
@@ -463,7 +472,7 @@ def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():
     [("explained", 0.9, True), ("partial", 0.4, True), ("partial", 0.6, False), ("unexplained", None, False)],
 )
 def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, verdict, error_db, taken):
-    """First a law beside which 0.5 dB are left, `partial`; then with the day of the lowest level beside its mean spring."""
+    """First a law beside which 0.5 dB are left, `partial`; then with the day of the lowest level, and beside the mean spring of the law."""
     now, mean = found("clearance"), Effect("ground_spring", ("5+Z",), {"stiffness": 2e3})
     monkeypatch.setattr(records_and_days, "linear_at", lambda seen, run: [mean])
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
@@ -488,5 +497,29 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
     monkeypatch.setattr(records_and_days, "usual_day", lambda *a: pytest.fail("a law is known, so nothing is asked without FRFs"))
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
     assert (made.verdict, bool(made.notes)) == ((verdict, True) if taken else ("partial", False))
-    assert asked[0] == ([mean], min(run.force_n for run in frfs("clearance")))
-    assert len(asked) == (records_and_days.DAYS if taken else 1)
+    assert {force for _, force in asked} == {min(run.force_n for run in frfs("clearance"))}
+    assert [[e.kind for e in effects] for effects, _ in asked] == [[], ["ground_spring", "ground_damper"], ["ground_spring"]]
+    assert asked[-1][0] == [mean]
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_frfs_become_those_of_one_spring_for_all_forces(measured):
+    """Each column is of a model with a spring and damper of its own: with them taken to their mean it is that of the mean."""
+    idle, hz = STRIP.idle(), np.linspace(8.0, 90.0, 60)
+    sizes = {"2+Z": (2e3, 3.0), "6+Z": (6e3, 1.0)}
+
+    def frf(stiffness, damping, reference):
+        texts = (f"coupling_spring@5+Z,3+Z=stiffness:{stiffness}", f"coupling_damper@5+Z,3+Z=damping:{damping}")
+        return Model(idle, tuple(parse_effect(text, BAND) for text in texts)).frf(hz, idle.dofs, reference, variance=False)
+
+    law = Effect("clearance", ("5+Z", "3+Z"), {"stiffness": 1e4, "gap": 1e-4})
+    rows = tuple(LinearEquivalent(2.0, 1e-4, 1e-2, k, c, 1.0, (name,)) for name, (k, c) in sizes.items())
+    mean = tuple(parse_effect(f"coupling_{text}", BAND) for text in ("spring@5+Z,3+Z=stiffness:4e3", "damper@5+Z,3+Z=damping:2"))
+    found = FoundLaws((law,), (rows,), model=Model(idle, mean))
+    columns = [frf(k, c, name) for name, (k, c) in sizes.items()]
+    apart = columns[0].beside(columns[1])
+    apart = apart if measured else apart.select(responses=["1+Z", "3+Z"])  # the motion at 5+Z is not known
+    made = records_and_days.as_beside_one(CheckRun("run", "2 N", apart, 2.0), found).frf.data
+    wanted = frf(4e3, 2.0, list(sizes)).data if measured else apart.data
+    np.testing.assert_allclose(made, wanted, atol=1e-9 * np.abs(wanted).max())
+    assert measured == (np.max(np.abs(made - apart.data)) > 0.01 * np.abs(wanted).max())

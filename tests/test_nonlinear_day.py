@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from nonlinear_truth import Strip, measure_many, place
-from operando.diagnosis import diagnose_records, with_frfs
+from operando.diagnosis import another_day, diagnose_records, with_frfs
 from operando.diagnosis.another_day import usual_day
 from operando.diagnosis.between import FAMILIES, SPREADS, Between
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_case, std_of
 from operando.diagnosis.records.day import powers
-from operando.diagnosis.records.motion import measured_share
+from operando.diagnosis.records.fit_laws import fit_law
+from operando.diagnosis.records.motion import PlaceDrive, measured_share
 from operando.diagnosis.records.refine import OTHER_DAY
 from operando.diagnosis.records.run import EXACT
 from operando.errors import DataError
@@ -186,3 +187,81 @@ def test_what_is_across_a_shape_has_the_standard_deviations_of_draws():
     std = rng.uniform(0.5, 2.0, between.direction.shape)
     draws = np.array([between.across(std * rng.standard_normal(std.shape)) for _ in range(4000)])
     np.testing.assert_allclose(between.across_std(std), draws.std(axis=0), atol=0.05 * std.max())
+
+
+def test_a_spring_that_the_day_took_is_found_beside_the_law_as_far_as_frfs_leave_it_open():
+    """FRFs may take a spring at the location for a difference between days: the law is then as wrong as that spring is large."""
+    at, taken = place(STRIP, 4), 2e3
+    hidden = [(at, "one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP}), (at, "ground_spring", {"stiffness": taken})]
+    measured = measure_many(STRIP, {"contact": hidden}, seconds=12.0, run_in=3.0)["contact"]
+    same = usual_day(STRIP.idle(), dict.fromkeys(FAMILIES, 0.0))
+    off = []
+    for springs in ({}, {(4,): (taken, 1.0)}):
+        case = make_case(STRIP.idle(), measured, places=[(4,)], day=replace(same, springs=springs))
+        at_4 = examine(Sets.of(case), (4,))
+        law = fit_law(at_4.fit, "one_sided_contact", 1.0)
+        off.append(max(abs(law.values["stiffness"] / STIFFNESS - 1), abs(law.values["gap"] / GAP - 1)))
+        left = np.sum(np.abs(at_4.errors(law)[0]) ** 2) / np.sum(np.abs(at_4.whole[0].along.weighted.raw) ** 2)
+        assert (left < 0.02) == bool(springs)
+    assert off[1] < 0.02 < 0.1 < off[0]
+
+
+def test_forces_drive_the_modes_as_they_were_put_back():
+    """A shaker beside its location moves everything by other shapes: 15 % of the motion at the location of an effect (rotor 10397)."""
+    idle = STRIP.idle()
+    same = usual_day(idle, dict.fromkeys(FAMILIES, 0.0))
+    row = next(i for i, d in enumerate(idle.dofs) if d.key == records()[0].channels[0].dof.key)
+    driven = {row: 1.2 * idle.terms.shapes[row]}
+    there, back = (make_case(idle, records(), places=[(4,)], day=replace(same, driven=d)).runs[0] for d in ({}, driven))
+    np.testing.assert_allclose(back.modal_forces, 1.2 * there.modal_forces)
+    one, other = (examine(Sets.of(make_case(idle, records(), places=[(4,)], day=replace(same, driven=d))), (4,)) for d in ({}, driven))
+    np.testing.assert_allclose(other.whole[0].crossing.base[back.lines], 1.2 * one.whole[0].crossing.base[back.lines], rtol=0.02)
+
+
+def test_what_frfs_of_the_day_say_holds_the_errors_of_the_idle_model_no_more():
+    idle = STRIP.idle()
+    size = idle.frequencies_hz.size * (2 + len(idle.dofs))
+    known = replace(idle, covariance=np.diag(np.full(size, 1e-6)), residuals=None)
+
+    def seen(hz, rows, driven):
+        dofs = known.dofs
+        return np.moveaxis(known.frf(hz, [dofs[i] for i in rows], [dofs[i] for i in driven], variance=False).data, 2, 0)
+
+    same = usual_day(known, dict.fromkeys(FAMILIES, 0.0))
+    owns = [make_case(known, records(), places=[(4,)], day=day).runs[0].own for day in (None, same, replace(same, seen=seen))]
+    assert [bool(own.any()) for own in owns] == [True, True, False]
+
+
+def test_the_modes_of_the_day_have_the_stiffness_between_them():
+    """Handed out without it FRFs differed by 3 % from those that were fitted (rotor 10350)."""
+    idle = Idle.of(STRIP.idle(), (6.0, 84.0), STRIP.idle().dofs[:1])
+    between, rng = Between(idle, np.array([0]), (6.0, 84.0), SPREADS.copy()), np.random.default_rng(2)
+    x = SimpleNamespace(d=rng.standard_normal(between.shared_spread.size))
+    forward = SimpleNamespace(between=between, modes=idle.modes)
+    bare = another_day._Bare(SimpleNamespace(case=SimpleNamespace(forward=forward)), x)
+    f, zeta, turn = bare.uncoupled(SimpleNamespace(f=idle.f, zeta=idle.zeta))
+    m, w = idle.modes, 2 * np.pi * idle.f
+    wanted = np.diag(w[m] ** 2)
+    one, two = (np.searchsorted(m, part) for part in (between.first, between.second))
+    wanted[one, two] = wanted[two, one] = between.shared_parts(x.d)["stiffness_between"] * between.stiffness_scale
+    np.testing.assert_allclose(turn @ np.diag((2 * np.pi * f[m]) ** 2) @ turn.T, wanted, atol=1e-9 * w[m].max() ** 2)
+    assert np.all(np.abs(np.diag(turn)) > 0.9)
+    np.testing.assert_allclose(zeta[m] * f[m], turn.T**2 @ (idle.zeta[m] * idle.f[m]))
+
+
+def test_free_decays_of_what_stands_for_little_in_the_band_move_no_location():
+    """A residual mode below the band rang with half a metre a second squared that no line denied (frame 10392)."""
+    idle = STRIP.idle()
+    terms, low = idle.terms, 0.4 * idle.frequencies_hz[0]
+    shapes = np.column_stack([terms.shapes, 1e-3 * np.ones(len(idle.dofs))])
+    more = idle.with_terms(
+        frequencies_hz=np.append(terms.frequencies_hz, low), damping_ratios=np.append(terms.damping_ratios, 0.01), shapes=shapes
+    )
+    case = make_case(more, records(), places=[(4,)])
+    along, ringing = examine(Sets.of(case), (4,)).whole[0].along, case.modes.ringing(case.runs[0].sampling_hz).tolist()
+    assert case.modes.spurious(along.b, float(case.runs[0].hz[0]))[-1]
+    amplitudes = np.zeros(2 * len(ringing))
+    for number, moves in ((ringing.index(case.modes.hz.size - 1), False), (0, True)):
+        amplitudes[:] = 0
+        amplitudes[number] = 1.0
+        assert PlaceDrive.of(along, case.modes, amplitudes).fall_x.any() == moves

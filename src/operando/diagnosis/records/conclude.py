@@ -20,7 +20,6 @@ from operando.diagnosis.records.result import Equivalents, FoundLaws, RecordsDia
 from operando.diagnosis.records.steps import SearchStep, Tried, alike, nested
 from operando.diagnosis.records.surface import equivalents, surface
 from operando.diagnosis.result import spacing
-from operando.dof import Dof
 from operando.errors import DataError
 from operando.structure.effects import Effect
 
@@ -105,7 +104,11 @@ def conclude(
     unseen = floor_reason(rows[0].get("noise_floor_db"))
     part = last.hold_out()
     off = Discrepancy.of(last, weighted[part], errors[part]) if accepted else None
-    within = off is not None and is_allowed(off, Discrepancy.of(last, weighted[part], idle_errors[part]), validation)
+    within = off is not None and is_allowed(off, Discrepancy.of(last, weighted[part], idle_errors[part]))
+    if off is not None and first.validation and not within and off.chi_square(DISCREPANCY) <= GOOD:
+        # A level at which a contact stays open does not speak of it: the louder runs do, of which few numbers are fitted to many lines.
+        loud = slice(0, len(last.fitted))
+        within = is_allowed(*(Discrepancy.of(last, weighted[loud], e[loud]) for e in (errors, idle_errors)))
     verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)
     picture = pictures_of(first, effects, accepted, notes)
     if off is not None and verdict in ("explained", "ambiguous") and validation[-1] >= GOOD:
@@ -121,7 +124,7 @@ def conclude(
     notes += too_fast(effects, accepted, len(first.fitted), rows[-1]["heldout_misfit"])
     if not first.validation:
         notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")
-    search = found_laws(last, weighted, every, found, tuple(first.idle.dofs[i] for i in steps[0].place), geometry)
+    search = found_laws(last, weighted, every, found, steps[0], geometry)
     same = search.equivalents[: len(accepted)]
     candidates = [candidate_row(first, t, steps[0].base_select) for t in steps[0].tried]
     return RecordsDiagnosis(
@@ -153,24 +156,28 @@ def found_laws(
     weighted: Sequence[Weighted],
     accepted: Sequence[Tried],
     effects: Sequence[Effect],
-    location: tuple[Dof, ...],
+    step: SearchStep,
     geometry: Geometry | None,
 ) -> FoundLaws:
-    """What the search accepted, with the error that it leaves."""
+    """What the search accepted, with the score that it has."""
+    places = dict.fromkeys([step.place, *list(dict.fromkeys(t.spot.place for t in step.tried))[:2]])
+    locations = tuple(tuple(last.idle.dofs[i] for i in place) for place in places)
     if not accepted:
-        return FoundLaws(location=location)
+        return FoundLaws(locations=locations)
     same = equivalents_of(last, effects, accepted)
-    row = step_row(len(effects), effects[-1], last, weighted, accepted[-1].spot.errors(accepted[-1].law))
-    return FoundLaws(tuple(effects), same, row["heldout_error_db"], location, linear_model(last.idle, effects, same, geometry))
+    pairs = zip(weighted, accepted[-1].spot.errors(accepted[-1].law), strict=True)
+    scores = [np.abs(w.with_error(error).decayed()) ** 2 - 2 * np.log(w.root) for w, error in pairs]
+    score = float(np.mean(np.concatenate([s.ravel() for s in scores])))
+    return FoundLaws(tuple(effects), same, score, locations, linear_model(last.idle, effects, same, geometry))
 
 
-def is_allowed(left: Discrepancy, idle: Discrepancy, chi_square: Sequence[float]) -> bool:
+def is_allowed(left: Discrepancy, idle: Discrepancy) -> bool:
     """Whether what is left is no more than noise and ``DISCREPANCY``, where that is no ground for the idle model as well.
 
-    ``chi_square`` are those of the hold-out set by step, the idle model's first. Where the idle model is within the same allowance the
-    effects must lower it by as much as ``partial`` asks: a law of another kind may leave four fifths of it (rotor 10393).
+    Where the idle model is within the same allowance the effects must lower the chi-square by as much as ``partial`` asks: a law of another
+    kind may leave four fifths of it (rotor 10393).
     """
-    lowered = chi_square[-1] < (1 - PARTLY) * chi_square[0]
+    lowered = left.chi_square(0.0) < (1 - PARTLY) * idle.chi_square(0.0)
     return left.chi_square(DISCREPANCY) <= GOOD and (lowered or idle.chi_square(DISCREPANCY) > GOOD)
 
 

@@ -14,7 +14,7 @@ from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.detect import detect, distortion
 from operando.diagnosis.records.refine import refined
 from operando.diagnosis.records.result import RecordsDiagnosis
-from operando.diagnosis.records.steps import SearchStep, Tried, choose, improves, search_step, with_law
+from operando.diagnosis.records.steps import ALIKE_AT_MOST, SearchStep, Tried, choose, improves, search_step, with_law
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
 from operando.structure.effects import catalogue, kind_of
@@ -146,12 +146,12 @@ def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, sa
 
 
 def as_far_as_known(case: RecordsCase, step: SearchStep, best: Tried, before: Sequence[Tried]) -> Tried:
-    """A law whose values the data tell, in place of one that contains it and has values that they leave open; else the law itself."""
+    """A law whose values the data tell, in place of one that contains it, is hardly nearer and has values that they leave open."""
     contained = [t for t in step.tried if t.spot.place == best.spot.place and t.law.kind in best.law.definition.contains]
-    contained = [t for t in contained if improves(step, t, before)]
-    if contained and not effect_of(case, best).supported:
+    contained = [t for t in contained if improves(step, t, before) and t.selection <= (1 + ALIKE_AT_MOST) * best.selection]
+    if contained and not effect_of(case, best).determined:
         for simpler in contained:
             found = closed_loop_force(case, refined(simpler))
-            if effect_of(case, found).supported:
+            if effect_of(case, found).determined:
                 return found
     return best

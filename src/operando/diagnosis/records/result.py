@@ -27,24 +27,20 @@ class FoundLaws:
     ----------
     effects, equivalents : tuples
         As of a diagnosis.
-    error_db : float
-        With them on the hold-out set.
-    location : tuple of Dof
-        Where any force law explains most.
+    log_score : float
+        Mean of ln σ² + |error|²/σ² over all lines and runs (Gneiting & Raftery, JASA 102, 2007, 359–378): the less, the more probable are
+        the records, whatever noise σ was found beside the laws.
+    locations : tuple of tuple of Dof
+        Where a force may act that the idle model lacks: where any force law explains most, and of those with a formula the best two.
     model : Model or None
         The idle model with what these are equivalent to at the lowest level.
     """
 
     effects: tuple[Effect, ...] = ()
     equivalents: Equivalents = ()
-    error_db: float = float("inf")
-    location: tuple[Dof, ...] = ()
+    log_score: float = float("inf")
+    locations: tuple[tuple[Dof, ...], ...] = ()
     model: Model | None = None
-
-    @property
-    def locations(self) -> tuple[tuple[Dof, ...], ...]:
-        """Where a force may act that the idle model lacks: that of the first law, and where any explains most."""
-        return tuple(dict.fromkeys([*(e.location for e in self.effects[:1]), *([self.location] if self.location else [])]))
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -140,8 +140,19 @@ class Effect:
 
         Further values say of which form it is: a contact without a gap is one, too.
         """
-        size = self.definition.parameters[0].name if self.definition.parameters else ""
-        return size not in self.std or abs(float(self.values[size]) - (size == "gain")) > INTERVAL * self.std[size]
+        return not self.definition.parameters or self._leaves_out_nothing(self.definition.parameters[0].name)
+
+    @property
+    def determined(self) -> bool:
+        """Whether that holds for every fitted value: else the data leave room for a simpler form.
+
+        Values that may be 0 by the catalogue are not asked, as the speed below which friction is smoothed, and no exponents.
+        """
+        asked = [p.name for p in self.definition.parameters if p.low != 0.0 and p.name != "exponent"]
+        return all(self._leaves_out_nothing(name) for name in asked)
+
+    def _leaves_out_nothing(self, name: str) -> bool:
+        return name not in self.std or abs(float(self.values[name]) - (name == "gain")) > INTERVAL * self.std[name]
 
     @property
     def sign(self) -> float:
