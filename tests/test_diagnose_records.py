@@ -14,13 +14,14 @@ import pytest
 
 from operando.diagnosis import another_day, diagnose, from_records, records_and_days
 from operando.diagnosis.from_records import standing
-from operando.diagnosis.records import Detection, steps
+from operando.diagnosis.records import Detection, FoundLaws, steps
 from operando.diagnosis.suspicion import DISTORTION, FAINT, LOUDEST, beyond_rest, suspicion, suspicion_at
 from operando.dof import Dof
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
-from operando.structure import ForceLaw
-from operando.structure.effects import Effect
+from operando.results import CheckRun
+from operando.structure import ForceLaw, LinearEquivalent, Model
+from operando.structure.effects import Effect, parse_effect
 from test_nonlinear_records import STRIP, records
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
@@ -355,8 +356,12 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
 
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"], between={"damping": 0.2})
-    # beside nothing, beside a spring and a damper where a law was found, and beside that law
-    assert asked[:5] == ([None, *["of FRFs"] * 3, ("left open", {"damping": 0.2})] if another else [None])
+    assert asked[0] is None
+    if another:  # beside nothing, twice at each location where a law was found, once more with all locations, and left open at last
+        count = 2 + records_and_days.DAYS * len(law.found.locations)
+        assert asked[1:] == ["of FRFs"] * count + [("left open", {"damping": 0.2})]
+    else:
+        assert asked == [None]
     assert made.verdict == ("explained" if another else "unexplained")
     assert any("may differ as between two days" in note for note in made.notes) == another
 
@@ -388,14 +393,14 @@ def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypa
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
     monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
-    assert law.found.locations == (there,)
-    worse = (law.ladder[0], law.ladder[-1] | {"heldout_error_db": 2 * law.ladder[-1]["heldout_error_db"]})
+    assert law.found.locations[0] == there
+    worse = replace(law.found, log_score=law.found.log_score + 0.1)
 
     def looked(idle, records, day=None, **options):
         if not day:
-            first = replace(law.found, location=(Dof.parse("3+Z"),))
+            first = replace(law.found, locations=((Dof.parse("3+Z"),), there))
             return replace(law, verdict="unexplained", effects=(), equivalents=(), found=first)
-        return law if any("5+Z" in text for text in day) else replace(law, ladder=worse, notes=("elsewhere",))
+        return law if any("5+Z" in text for text in day) else replace(law, found=worse, notes=("elsewhere",))
 
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
@@ -468,12 +473,13 @@ def test_a_day_of_which_nothing_is_known_is_open_as_days_in_laboratories_are():
 
 
 @pytest.mark.parametrize(
-    ("verdict", "error_db", "taken"),
+    ("verdict", "score", "taken"),
     [("explained", 0.9, True), ("partial", 0.4, True), ("partial", 0.6, False), ("unexplained", None, False)],
 )
-def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, verdict, error_db, taken):
-    """First a law beside which 0.5 dB are left, `partial`; then with the day of the lowest level, and beside the mean spring of the law."""
+def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, verdict, score, taken):
+    """First a law with which the records have a score of 0.5, `partial`; then on the day of the lowest level, and beside its spring."""
     now, mean = found("clearance"), Effect("ground_spring", ("5+Z",), {"stiffness": 2e3})
+    law = replace(now.found, locations=now.found.locations[:1])
     monkeypatch.setattr(records_and_days, "linear_at", lambda seen, run: [mean])
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
@@ -485,12 +491,10 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
 
     def looked(idle, records, day=None, **options):
         if day is None:
-            return replace(now, verdict="partial", ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": 0.5}), notes=())
+            return replace(now, verdict="partial", found=replace(law, log_score=0.5), notes=())
         assert day == "the day"
-        effects = now.effects if error_db is not None else ()
-        return replace(
-            now, verdict=verdict, effects=effects, ladder=(now.ladder[0], now.ladder[-1] | {"heldout_error_db": error_db}), notes=()
-        )
+        effects = now.effects if score is not None else ()
+        return replace(now, verdict=verdict, effects=effects, found=replace(law, log_score=score or 0.5), notes=())
 
     monkeypatch.setattr(records_and_days, "day_of", day_of)
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
