@@ -123,7 +123,7 @@ def test_driven_columns_are_known_no_better_than_the_pseudo_modes_make_them(chai
             by = by.reshape(f.size, -1)
             std = np.sqrt(np.einsum("lp,pq,lq->l", by, made.covariance, by))
             ratios.append(np.sqrt(np.mean((found[:, i] - wanted[:, i]) ** 2) / np.mean(std**2)))
-    assert 0.1 < np.median(ratios) < 1.5  # two pairs are made to 2 % of it, the others to 0.2 %, and share the driven shapes with them
+    assert 0.4 < np.median(ratios) < 1.5  # two pairs are made to 2 % of it, the others to 0.2 %, and share the driven shapes with them
     assert np.quantile(ratios, 0.8) < 2
 
 

@@ -28,10 +28,11 @@ class FoundLaws:
     effects, equivalents : tuples
         As of a diagnosis.
     log_score : float
-        Mean of ln σ² + |error|²/σ² over all lines and runs (Gneiting & Raftery, JASA 102, 2007, 359–378): the less, the more probable are
-        the records, whatever noise σ was found beside the laws.
+        Mean of ln σ² + |error|²/σ² over all lines and runs (Gneiting & Raftery, JASA 102, 2007, 359–378): the less, the more probable
+        are the records, whatever noise σ was found beside the force laws.
     locations : tuple of tuple of Dof
-        Where a force may act that the idle model lacks: where any force law explains most, and of those with a formula the best two.
+        Where a force may act that is missing in the idle model: where any force law explains most, and the best two of those that have a
+        formula.
     model : Model or None
         The idle model with what these are equivalent to at the lowest level.
     """
@@ -56,7 +57,7 @@ class RecordsDiagnosis(Diagnosis):
     equivalents : tuple of tuple of LinearEquivalent
         For each effect the spring and damper it is equivalent to at each level; empty for a linear one.
     found : FoundLaws
-        What the search found before it was judged.
+        What the search found before the verdict.
     """
 
     detection: Detection = field(default_factory=Detection)
