@@ -509,7 +509,7 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
 @pytest.mark.parametrize("measured", [True, False])
 def test_frfs_become_those_of_one_spring_for_all_forces(measured):
     """Each column is of a model with a spring and damper of its own: with them taken to their mean it is that of the mean."""
-    idle, hz = STRIP.idle(), np.linspace(8.0, 90.0, 60)
+    idle, hz = STRIP.idle(), np.r_[0.0, np.linspace(8.0, 90.0, 60)]
     sizes = {"2+Z": (2e3, 3.0), "6+Z": (6e3, 1.0)}
 
     def frf(stiffness, damping, reference):

@@ -220,3 +220,13 @@ def test_what_the_idle_model_may_be_off_by_as_well_is_no_ground(idle, left, allo
         return Discrepancy([np.full((2, 40), 10 * chi_square)], [level], [np.zeros(40, int)])
 
     assert is_allowed(leaves(left), leaves(idle)) == allowed
+
+
+def test_where_no_sensor_is_a_location_comes_last():
+    bare = make_case(STRIP.idle(), records())
+    run = bare.fitted[0]
+    blind = [replace(r, rows=r.rows[1:], responses=r.responses[1:], error=r.error[1:], variance=r.variance[1:], own=r.own[1:],
+             shapes=r.shapes[1:], nuisance_shapes=r.nuisance_shapes[1:], beside=r.beside[1:]) for r in bare.runs]  # fmt: skip
+    ranked = rank_places(bare.with_runs(blind), [(int(run.rows[0]),), (4,)])
+    assert [place for _, place in ranked] == [(4,), (int(run.rows[0]),)]
+    assert ranked[1][0] == np.inf

@@ -143,7 +143,7 @@ def as_beside_one(run: CheckRun, found: FoundLaws) -> CheckRun:
         for k, reference in enumerate(frf.references):
             for row in [row for row in same if row.at(run.force_n, reference)][:1]:
                 less = mean[0] - row.stiffness + 1j * w * (mean[1] - row.damping)
-                data[:, k] -= column * less * moved[k]
+                data[:, k] -= np.where(w > 0, column * less * moved[k], 0)  # there is no displacement at 0 Hz
     return replace(run, frf=replace(frf, data=data))
 
 

@@ -71,6 +71,8 @@ def rank_places(case: RecordsCase, places: Sequence[tuple[int, ...]]) -> list[tu
         b = case.b(place)
         motions = [b[w.run.rows] @ motion for w, motion in runs]
         reach = max(float(np.max(np.abs(x))) for x, _ in motions)
+        if not reach:  # no sensor is there
+            return np.inf, place
         speed = float(np.sqrt(np.mean([np.mean(v**2) for _, v in motions])))
         parts = []
         for (w, _), (x, v) in zip(runs, motions, strict=True):
