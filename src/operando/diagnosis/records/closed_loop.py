@@ -231,7 +231,7 @@ def _track_of(case: RecordsCase, accepted: Sequence[Tried], number: int, loop: L
     for row, t, m in zip(memory, accepted, motions, strict=True):
         if t.law.remembers:
             row[:] = t.law.definition.memory(m.x, t.law.values, m.v * m.step)[:: m.crossing.fine]  # type: ignore[attr-defined]
-    _, amplitudes, _ = motions[-1].along.free_force(0.0, motions[-1].along.beside(motions[-1].under(accepted[-1].law)))
+    _, amplitudes, _ = motions[-1].along.free_force(0.0, motions[-1].beside(accepted[-1].law))
     hz = run.all_hz
     drive = run.modal_forces
     kernel = case.modes.bounded_kernel(hz, spurious(case, accepted), float(run.hz[0]))

@@ -41,7 +41,7 @@ class Detection:
     level_dependent : bool or None
         Whether the levels differ; a bilinear stiffness scales with the level and does not show here.
     location : tuple of str
-        The DOFs at which any force explains most.
+        The DOFs at which any force law explains most.
     """
 
     levels_n: tuple[float, ...] = ()

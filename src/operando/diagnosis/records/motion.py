@@ -160,6 +160,10 @@ class Motion:
         """Transform of a law's restoring force (L,) on the lines."""
         return np.asarray(self.spectrum(law)[self.along.run.lines])
 
+    def beside(self, law: ForceLaw) -> Complex:
+        """The same with what open springs at the place add to it."""
+        return self.along.beside(self.under(law))
+
     def spectra(self, forces: Real) -> Complex:
         """Transforms of restoring forces (…, N·fine) on the lines."""
         return np.asarray(self.crossing.lines(forces)[..., self.along.run.lines])

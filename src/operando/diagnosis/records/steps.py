@@ -77,7 +77,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class SearchStep:
-    """One step of the search: what was tried, the errors of the runs before it, and the place at which any force explains most."""
+    """One step of the search: what was tried, the errors of the runs before it, and the place at which any force law explains most."""
 
     case: RecordsCase
     place: tuple[int, ...]
@@ -273,7 +273,7 @@ def with_law(case: RecordsCase, best: Tried) -> RecordsCase:
 
     def force(m: Motion) -> Complex:
         out = np.array(m.spectrum(best.law))
-        out[m.along.run.lines] = m.along.beside(m.under(best.law))
+        out[m.along.run.lines] = m.beside(best.law)
         return out
 
     return case.with_runs([r.with_force(drive, m.along.h, -force(m)) for r, m in zip(case.runs, spot.whole, strict=True)])
@@ -283,7 +283,7 @@ def block_misfits(tried: Tried) -> Real:
     """Chi-square on each block of the select set."""
     out = []
     for m in tried.spot.select:
-        power = np.mean(np.abs(m.along.under(m.along.beside(m.under(tried.law))).decayed()) ** 2, axis=0)
+        power = np.mean(np.abs(m.along.under(m.beside(tried.law)).decayed()) ** 2, axis=0)
         part = np.minimum(m.along.run.lines * BLOCKS // (m.along.run.lines[-1] + 1), BLOCKS - 1)
         out += [float(np.mean(power[part == b])) for b in np.unique(part)]
     return np.array(out)

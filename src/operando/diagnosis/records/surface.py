@@ -111,7 +111,7 @@ def goodness(motions: Sequence[Motion], law: ForceLaw) -> float:
         good = m.taken > 0.5
         if m.along.run.lines.size != m.force.size:
             continue
-        rest += float(np.sum(np.abs(m.force - m.along.beside(m.under(law)))[good] ** 2))
+        rest += float(np.sum(np.abs(m.force - m.beside(law))[good] ** 2))
         total += float(np.sum(np.abs(m.force)[good] ** 2))
     return 1 - rest / total if total > 0 else 0.0
 
