@@ -131,12 +131,8 @@ def test_from_the_command_line(folder, monkeypatch):
         assert any("cubic_stiffness" in w for w in wrong["words"])
         asked("remove", folder, 1)
     right = asked("add", folder, "cubic_stiffness@3+Z")
-    size = right["effects"][0]["parameters"]["coefficient"]  # on the day of the FRFs, by as much as these leave open of a spring there
-    assert size["value"] == pytest.approx(1e8, rel=0.03)
-    assert abs(size["value"] - 1e8) < 2 * size["std"] < 4e7
-    # That day leaves 0.50 dB on the hold-out set and the idle model as it was 0.56; without the effect 2.3 and 3.3 are left.
-    assert right["ladder"][1]["heldout_error_db"] < min(0.53, 0.25 * right["ladder"][0]["heldout_error_db"])
-    assert right["ladder"][1]["heldout_misfit"] < 0.05 * right["ladder"][0]["heldout_misfit"]
+    assert right["effects"][0]["parameters"]["coefficient"]["value"] == pytest.approx(1e8, rel=0.02)
+    assert right["ladder"][1]["heldout_misfit"] < 0.01 * right["ladder"][0]["heldout_misfit"]
     assert load_results(folder).diagnosis["picture"]["levels"]["curves"]
     assert (folder / "ofrf_effect.uff").is_file()
     assert "cubic stiffness" in (folder / "report.html").read_text()

@@ -33,7 +33,7 @@ def apply_with_frfs(
 
     A spring and a damper stand in the FRFs of each level for a level-dependent effect; the level whose FRFs they explain best counts.
     Without masses, records that the effects leave unexplained are held against the idle model on the day of the FRFs, too, and that counts
-    where it leaves less error on the hold-out set.
+    where they are more probable with it.
 
     ``options`` are of both :func:`apply_to_records` and :func:`operando.apply_effects`, ``frf_options`` of the latter alone.
     """
@@ -57,7 +57,7 @@ def apply_with_frfs(
         except OperandoError as error:
             other = None
             words.append(NO_DAY.format(why=error.message))
-        if other is not None and other.ladder[-1]["heldout_error_db"] < applied.ladder[-1]["heldout_error_db"]:
+        if other is not None and other.log_score < applied.log_score:
             applied = other
             words.append(OF_A_DAY.format(run=run.name))
     return replace(applied, words=(*applied.words, *words))

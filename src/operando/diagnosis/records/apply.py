@@ -13,7 +13,7 @@ from operando.data import Geometry, ModalModel, TimeRecord
 from operando.diagnosis.applied import refuse_failed, words_of
 from operando.diagnosis.records.case import RecordsCase, Sets, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force
-from operando.diagnosis.records.conclude import effect_of, equivalents_of, pictures_of, simulated
+from operando.diagnosis.records.conclude import effect_of, equivalents_of, log_score, pictures_of, simulated
 from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.diagnose import wanted_kinds
 from operando.diagnosis.records.fit_laws import fit_law
@@ -132,6 +132,7 @@ def apply_to_records(
             words,
             judged_on(first),
             better=better,
+            log_score=log_score(zip(weighted, errors[-1], strict=True)),
             picture=picture,
             simulation=simulation,
             equivalents=same,

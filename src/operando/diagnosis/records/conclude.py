@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -166,9 +166,17 @@ def found_laws(
         return FoundLaws(locations=locations)
     same = equivalents_of(last, effects, accepted)
     pairs = zip(weighted, accepted[-1].spot.errors(accepted[-1].law), strict=True)
-    scores = [np.abs(w.with_error(error).decayed()) ** 2 - 2 * np.log(w.root) for w, error in pairs]
-    score = float(np.mean(np.concatenate([s.ravel() for s in scores])))
-    return FoundLaws(tuple(effects), same, score, locations, linear_model(last.idle, effects, same, geometry))
+    return FoundLaws(tuple(effects), same, log_score(pairs), locations, linear_model(last.idle, effects, same, geometry))
+
+
+def log_score(runs: Iterable[tuple[Weighted, np.ndarray]]) -> float:
+    """Mean of ln σ² + |error|²/σ² over all lines of runs, each with its error.
+
+    The less, the more probable are the records, whatever noise σ was found beside the force laws (Gneiting & Raftery, JASA 102, 2007,
+    359–378).
+    """
+    scores = [np.abs(w.with_error(error).decayed()) ** 2 - 2 * np.log(w.root) for w, error in runs]
+    return float(np.mean(np.concatenate([s.ravel() for s in scores])))
 
 
 def is_allowed(left: Discrepancy, idle: Discrepancy) -> bool:

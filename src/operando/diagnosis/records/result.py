@@ -28,8 +28,7 @@ class FoundLaws:
     effects, equivalents : tuples
         As of a diagnosis.
     log_score : float
-        Mean of ln σ² + |error|²/σ² over all lines and runs (Gneiting & Raftery, JASA 102, 2007, 359–378): the less, the more probable
-        are the records, whatever noise σ was found beside the force laws.
+        As :func:`operando.diagnosis.records.conclude.log_score` has it.
     locations : tuple of tuple of Dof
         Where a force may act that is missing in the idle model: where any force law explains most, and the best two of those that have a
         formula.
@@ -84,11 +83,14 @@ class RecordsApplied(Applied):
     ----------
     better : tuple of (int, Effect, float)
         Step, and an effect that lowers the chi-square of that step to less than half of what the chosen one leaves, with that chi-square.
+    log_score : float
+        As in :class:`FoundLaws`, with all effects.
     picture, simulation, equivalents
         As in :class:`RecordsDiagnosis`.
     """
 
     better: tuple[tuple[int, Effect, float], ...] = ()
+    log_score: float = float("inf")
     picture: dict[str, Any] = field(default_factory=dict)
     simulation: dict[str, Any] = field(default_factory=dict)
     equivalents: Equivalents = ()
