@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -33,6 +34,9 @@ ONE_DAY = 2.0
 """Reduced chi-square of the hold-out set up to which records that a force law explains with the idle model as it was leave no room for
 another day: 0.4 to 1.5 in nine measurements of one day; of 23 on two days a law was found in five, with 4.5 to 78. A day that is fitted all
 the same takes part of the law: a ratio of 0.174 ± 0.003 where 0.185 is hidden, 0.184 ± 0.001 without (frame 10284)."""
+
+
+Look = TypeVar("Look", RecordsDiagnosis, RecordsApplied)
 
 
 @dataclass(frozen=True)
@@ -89,29 +93,19 @@ class RecordsAndDays:
         def beside(linear: Sequence[Effect], measured: CheckRun = run) -> Day | None:
             return day_of(self.idle, linear, measured, self.progress, **self.of_frfs)
 
-        def at(location: tuple[Dof, ...]) -> tuple[float, Day, RecordsDiagnosis] | None:
-            """Score of a force law at a location, the day beside it, and what the records say then."""
-            there: list[tuple[float, Day, RecordsDiagnosis]] = []
-            linear, measured = spring_and_damper(location, self.band or self.idle.band_hz), run
-            for _ in range(DAYS):
-                day = beside(linear, measured)
-                if day is None:
-                    break
-                found = on(day, OF_A_DAY, places=[location])
-                there.append((found.found.log_score, day, found))
-                if not any(found.found.equivalents):
-                    break
-                linear, measured = linear_at(found.found, run), as_beside_one(run, found.found)
-            return min(there, key=lambda one: one[0], default=None)
-
         try:
             first = beside(effects)
             if first is None:
                 return seen
             days = [on(first, OF_A_DAY)]
             # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
-            if there := [one for location in days[0].found.locations if (one := at(location)) is not None]:
-                _, day, found = min(there, key=lambda one: one[0])
+            there: list[tuple[Day, RecordsDiagnosis]] = []
+            for location in days[0].found.locations:
+                look = partial(on, words=OF_A_DAY, places=[location])
+                linear = spring_and_damper(location, self.band or self.idle.band_hz)
+                there += on_its_days(beside, look, lambda diagnosis: diagnosis.found, linear, run)
+            if there:
+                day, found = min(there, key=lambda one: one[1].found.log_score)
                 days += [found, on(day, OF_A_DAY)]
             if not any(day.nonlinear for day in (seen, *days)):
                 days.append(on(usual_day(self.idle, self.between or {}), OF_ANY_DAY))
@@ -122,7 +116,29 @@ class RecordsAndDays:
         return seen
 
 
-def as_beside_one(run: CheckRun, found: FoundLaws) -> CheckRun:
+def on_its_days(
+    beside: Callable[[Sequence[Effect], CheckRun], Day | None],
+    look: Callable[[Day], Look],
+    laws: Callable[[Look], FoundLaws | RecordsApplied],
+    linear: Sequence[Effect],
+    run: CheckRun,
+) -> list[tuple[Day, Look]]:
+    """The day of a run ``beside`` linear effects and what a ``look`` at the records says on it; then once more, beside the laws seen."""
+    there: list[tuple[Day, Look]] = []
+    measured = run
+    for _ in range(DAYS):
+        day = beside(linear, measured)
+        if day is None:
+            break
+        there.append((day, look(day)))
+        found = laws(there[-1][1])
+        if not any(found.equivalents):
+            break
+        linear, measured = linear_at(found, run), as_beside_one(run, found)
+    return there
+
+
+def as_beside_one(run: CheckRun, found: FoundLaws | RecordsApplied) -> CheckRun:
     """FRFs as they were if each force law were one spring and damper for all forces: the mean of those under each force.
 
     The column of a force changes by that of the running model at the location times the difference of the two, times the motion measured

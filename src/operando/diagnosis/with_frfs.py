@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-from operando.compare.verdict import GOOD
 from operando.data import ModalModel, TimeRecord
 from operando.diagnosis.another_day import day_of
 from operando.diagnosis.applied import Applied
@@ -14,8 +14,8 @@ from operando.diagnosis.arguments import chosen_run
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.records import RecordsApplied, apply_to_records
-from operando.diagnosis.records_and_days import NO_DAY, OF_A_DAY, linear_at, spring_and_damper
-from operando.errors import OperandoError
+from operando.diagnosis.records_and_days import NO_DAY, OF_A_DAY, ONE_DAY, on_its_days, spring_and_damper
+from operando.errors import IdentificationError, OperandoError
 from operando.results import CheckRun
 from operando.structure.effects import Effect
 
@@ -47,27 +47,38 @@ def apply_with_frfs(
             size = {e.place: e for e in sized.effects if e.kind == "point_mass"}
             effects = [size[e.place] if e in masses else e for e in effects]
             words.append(f"{_named(masses)} sized by the FRFs of {why}; the other effects are fitted to the records with it")
-    applied = apply_to_records(idle, effects, records, exclude_bands=exclude_bands, **options)
-    if check and not any(e.kind == "point_mass" for e in effects) and applied.ladder[-1]["heldout_misfit"] > GOOD:
-        run = chosen_run(check)
+    look = partial(apply_to_records, idle, effects, records, exclude_bands=exclude_bands, **options)
+    tried: list[RecordsApplied] = []
+    refused: OperandoError | None = None
+    try:
+        tried.append(look())
+    except IdentificationError as error:
+        refused = error
+    explained = bool(tried) and tried[0].ladder[-1]["heldout_misfit"] < ONE_DAY
+    if check and not explained and not any(e.kind == "point_mass" for e in effects):
+        run, say = chosen_run(check), options.get("progress")
         of_day = {name: options.get(name) for name in ("band", "geometry")} | {"idle_frf": None, "between": None} | (frf_options or {})
+        linear = _linear(effects, of_day["band"] or idle.band_hz)
         try:
-            day = day_of(idle, linear_at(applied, run), run, options.get("progress"), **of_day)
-            other = None if day is None else apply_to_records(idle, effects, records, exclude_bands=exclude_bands, day=day, **options)
+            there = on_its_days(
+                lambda linear, measured: day_of(idle, linear, measured, say, **of_day),
+                lambda day: look(day=day),
+                lambda one: one,
+                linear,
+                run,
+            )
+            tried += [replace(one, words=(*one.words, OF_A_DAY.format(run=run.name))) for _, one in there]
         except OperandoError as error:
-            other = None
             words.append(NO_DAY.format(why=error.message))
-        if other is not None and other.log_score < applied.log_score:
-            applied = other
-            words.append(OF_A_DAY.format(run=run.name))
+    if refused is not None and not tried:
+        raise refused
+    applied = min(tried, key=lambda one: one.log_score)
     return replace(applied, words=(*applied.words, *words))
 
 
 def _sized(idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], options: dict[str, Any]) -> tuple[Applied | None, str]:
     """The fit of a spring and a damper for each level-dependent effect to FRFs of one run, and which; or None, and why."""
-    linear: list[Effect] = []
-    for e in effects:
-        linear += spring_and_damper(e.location, options.get("band") or idle.band_hz) if e.definition.level_dependent else [e]
+    linear = _linear(effects, options.get("band") or idle.band_hz)
     best, why = None, "there are no FRFs of the validation measurement"
     least = float("inf")
     for run in check:
@@ -82,6 +93,11 @@ def _sized(idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun
     if best is not None and least > EXPLAINED:
         why += f", of which {100 * least:.2g} % stay unexplained"
     return best, why
+
+
+def _linear(effects: Sequence[Effect], band: tuple[float, float] | None) -> list[Effect]:
+    """Effects as FRFs know them: a spring and a damper for each that depends on the level."""
+    return [part for e in effects for part in (spring_and_damper(e.location, band) if e.definition.level_dependent else [e])]
 
 
 def _named(masses: Sequence[Effect]) -> str:
