@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nonlinear_truth import Strip, measure_many, place
-from operando.diagnosis import another_day, diagnose_records, with_frfs
+from operando.diagnosis import another_day, diagnose_records, records_and_days, with_frfs
 from operando.diagnosis.another_day import usual_day
 from operando.diagnosis.between import FAMILIES, SPREADS, Between
 from operando.diagnosis.idle import Idle
@@ -79,6 +79,7 @@ def test_an_effect_that_is_added_is_fitted_on_the_day_of_the_frfs(monkeypatch, a
     """Without the day 0.50 dB are left on the hold-out set, with it 0.40."""
     day = day_with()
     monkeypatch.setattr(with_frfs, "day_of", lambda *a, **k: day if another else None)
+    monkeypatch.setattr(records_and_days, "as_beside_one", lambda run, found: run)
     monkeypatch.setattr(with_frfs, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
     effect = parse_effect(f"one_sided_contact@{STRIP.idle().dofs[4]}", None)
     made = with_frfs.apply_with_frfs(day.idle, [effect], records(), [CheckRun])

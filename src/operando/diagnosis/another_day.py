@@ -39,7 +39,7 @@ def day_of(
     ``options`` are of :func:`operando.diagnosis.by_hand.fitted_to`.
     """
     with one_blas_thread():
-        state = _beside(idle, effects, run, progress, may_strain=True, **options)
+        state = _beside(idle, effects, run, progress, of_day=True, **options)
         bare = _Bare(state, replace(state.x, u=np.zeros(0), terms=()))
         return bare.day(idle, spreads_of(options["between"] or {})) if between_rows(state) else None
 

@@ -158,11 +158,12 @@ def fitted_to(
     geometry: Geometry | None,
     idle_frf: Frf | None,
     between: Mapping[str, float] | None,
-    may_strain: bool = False,
+    of_day: bool = False,
 ) -> tuple[list[State], Geometry | None]:
     """Fits to FRFs of the idle model with none of the effects, the first one, and so on; and the geometry with their positions.
 
-    Days that would have to differ by more than days do stand for what is missing, and only ``may_strain`` takes them.
+    Days that would have to differ by more than days do stand for what is missing, and only ``of_day`` takes them. Then the last fit alone
+    counts: where one with all effects, begun as at rest, explains the FRFs, there are no others.
     """
     measured = Measured.of(idle, run.frf, idle_frf, band, say)
     known, places, geometry = _placed(measured.model, effects, geometry)
@@ -181,12 +182,16 @@ def fitted_to(
         known = grown
     terms = [Term.of(e, p) for e, p in zip(effects, places, strict=True)]
     # one set-up, or another day: where the test does not say, what explains the check better with all effects
-    states = _steps(of_check(known, spreads_of(between) if between else SAME_SET_UP), terms, say)
+    one_day, other_day = of_check(known, spreads_of(between) if between else SAME_SET_UP), of_check(known, spreads_of({}))
+    if of_day:
+        direct = [fitted_if_can_be(case, started(case, tuple(terms)), LOOSE) for case in (one_day, *(() if between else (other_day,)))]
+        if explains := [state for state in direct if state is not None and state.alpha < EXPLAINED]:
+            return [max(explains, key=lambda state: state.log_evidence)], geometry
+    states = _steps(one_day, terms, say)
     if not between:
-        other_day = of_check(known, spreads_of({}))
         if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
             steps = _steps(other_day, terms, say)
-            usual = may_strain or not strained(steps[-1])
+            usual = of_day or not strained(steps[-1])
             states = steps if usual and steps[-1].log_evidence > states[-1].log_evidence else states
     return states, geometry
 
