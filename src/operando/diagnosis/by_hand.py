@@ -188,11 +188,10 @@ def fitted_to(
         if explains := [state for state in direct if state is not None and state.alpha < EXPLAINED]:
             return [max(explains, key=lambda state: state.log_evidence)], geometry
     states = _steps(one_day, terms, say)
-    if not between:
-        if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
-            steps = _steps(other_day, terms, say)
-            usual = of_day or not strained(steps[-1])
-            states = steps if usual and steps[-1].log_evidence > states[-1].log_evidence else states
+    if not between and (states[-1].alpha > LOOSE or _explains_better(other_day, states[-1])):
+        steps = _steps(other_day, terms, say)
+        usual = of_day or not strained(steps[-1])
+        states = steps if usual and steps[-1].log_evidence > states[-1].log_evidence else states
     return states, geometry
 
 

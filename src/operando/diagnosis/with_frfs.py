@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ from operando.diagnosis.applied import Applied
 from operando.diagnosis.arguments import chosen_run
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
-from operando.diagnosis.records import RecordsApplied, apply_to_records
+from operando.diagnosis.records import Day, RecordsApplied, apply_to_records
 from operando.diagnosis.records_and_days import NO_DAY, OF_A_DAY, ONE_DAY, on_its_days, spring_and_damper
 from operando.errors import IdentificationError, OperandoError
 from operando.results import CheckRun
@@ -56,24 +56,35 @@ def apply_with_frfs(
         refused = error
     explained = bool(tried) and tried[0].ladder[-1]["heldout_misfit"] < ONE_DAY
     if check and not explained and not any(e.kind == "point_mass" for e in effects):
-        run, say = chosen_run(check), options.get("progress")
-        of_day = {name: options.get(name) for name in ("band", "geometry")} | {"idle_frf": None, "between": None} | (frf_options or {})
-        linear = _linear(effects, of_day["band"] or idle.band_hz)
         try:
-            there = on_its_days(
-                lambda linear, measured: day_of(idle, linear, measured, say, **of_day),
-                lambda day: look(day=day),
-                lambda one: one,
-                linear,
-                run,
-            )
-            tried += [replace(one, words=(*one.words, OF_A_DAY.format(run=run.name))) for _, one in there]
+            tried += _on_days(look, idle, effects, chosen_run(check), options, frf_options or {})
         except OperandoError as error:
             words.append(NO_DAY.format(why=error.message))
     if refused is not None and not tried:
         raise refused
     applied = min(tried, key=lambda one: one.log_score)
+    if any(left < applied.ladder[-1]["heldout_misfit"] for _, _, left in tried[0].better):
+        applied = tried[0]  # a day may stand for the effect that was not chosen
     return replace(applied, words=(*applied.words, *words))
+
+
+def _on_days(
+    look: Callable[..., RecordsApplied],
+    idle: ModalModel,
+    effects: Sequence[Effect],
+    run: CheckRun,
+    options: dict[str, Any],
+    frf_options: dict[str, Any],
+) -> list[RecordsApplied]:
+    """The effects in records that are held against the idle model on the days of the FRFs of a run."""
+    of_day = {name: options.get(name) for name in ("band", "geometry")} | {"idle_frf": None, "between": None} | frf_options
+
+    def beside(linear: Sequence[Effect], measured: CheckRun) -> Day | None:
+        return day_of(idle, linear, measured, options.get("progress"), **of_day)
+
+    linear = _linear(effects, of_day["band"] or idle.band_hz)
+    there = on_its_days(beside, lambda day: look(day=day), lambda applied: applied, linear, run)
+    return [replace(applied, words=(*applied.words, OF_A_DAY.format(run=run.name))) for _, applied in there]
 
 
 def _sized(idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], options: dict[str, Any]) -> tuple[Applied | None, str]:
