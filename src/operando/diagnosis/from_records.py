@@ -100,7 +100,7 @@ def diagnose_levels(
                 unused = (f"sizes of effects were not compared between levels: {error.message}",)
             if reason is not None:
                 levels, seen = True, seen_because(reason)
-        if check and seen is not None and not seen.nonlinear and found.effects:
+        if check and seen is not None and not seen.nonlinear and seen.verdict != "no_misfit" and found.effects:
             # What stands for the law at the lowest level leaves the day as it is.
             seen = looks.on_that_day(seen, found.effects)
         found = replace(found, notes=(*found.notes, *notes, *unused)) if notes or unused else found

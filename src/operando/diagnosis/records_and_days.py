@@ -98,6 +98,8 @@ class RecordsAndDays:
             if first is None:
                 return seen
             days = [on(first, OF_A_DAY)]
+            if days[0].verdict == "no_misfit" and not seen.nonlinear:  # at no level is there more than the FRFs of one level know
+                return days[0]
             # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
             there: list[tuple[Day, RecordsDiagnosis]] = []
             for location in days[0].found.locations:
