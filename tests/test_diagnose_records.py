@@ -350,7 +350,7 @@ def test_a_day_is_found_with_all_effects_at_once(monkeypatch):
     effects = [parse_effect("point_mass@5+Z=mass:0.001", BAND)]
     stepped, _ = by_hand.fitted_to(STRIP.idle(), effects, run, print, **options)
     monkeypatch.setattr(by_hand, "_steps", lambda *a: pytest.fail("one after the other"))
-    (direct,), _ = by_hand.fitted_to(STRIP.idle(), effects, run, print, of_day=True, **options)
+    direct = by_hand.fitted_at_once(STRIP.idle(), effects, run, print, may_strain=True, **options)
     assert len(stepped) == 2
     assert direct.terms[0].kind == "point_mass"
     assert direct.log_evidence > stepped[-1].log_evidence - 1
@@ -374,8 +374,8 @@ def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypat
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"], between={"damping": 0.2})
     assert asked[0] is None
-    if another:  # beside nothing, twice at each location where a law was found, once more with all locations, and left open at last
-        count = 2 + records_and_days.DAYS * len(law.found.locations)
+    if another:  # beside nothing, at each location, again where a law was found, with all locations, and left open at last
+        count = 3 + len(law.found.locations)
         assert asked[1:] == ["of FRFs"] * count + [("left open", {"damping": 0.2})]
     else:
         assert asked == [None]

@@ -18,7 +18,6 @@ from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_cas
 from operando.diagnosis.records.day import powers
 from operando.diagnosis.records.motion import PlaceDrive, measured_share
 from operando.diagnosis.records.place import TOGETHER, Along, Weighted, solved
-from operando.diagnosis.records.refine import OTHER_DAY
 from operando.diagnosis.records.run import EXACT
 from operando.errors import DataError, IdentificationError
 from operando.results import CheckRun
@@ -184,12 +183,12 @@ def test_gains_that_are_not_known_widen_the_intervals_by_the_powers_of_the_unit(
     tried = Tried.of(where, ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP}))
     sure = std_of(tried, day_with())
     one_day = std_of(tried)
-    assert all(one_day[n] < sure[n] <= OTHER_DAY * one_day[n] for n in sure)  # all but what is left over may lie along the law
+    assert sure == one_day
     motion, force = 0.03, 0.02
     unsure = std_of(tried, day_with(sensor_std=motion, force_std=force))
     added = {n: np.sqrt(unsure[n] ** 2 - sure[n] ** 2) / tried.law.values[n] for n in sure}
-    assert added["stiffness"] == pytest.approx(OTHER_DAY * np.hypot(motion, force), rel=0.1)
-    assert added["gap"] == pytest.approx(OTHER_DAY * motion, rel=0.1)
+    assert added["stiffness"] == pytest.approx(np.hypot(motion, force), rel=0.1)
+    assert added["gap"] == pytest.approx(motion, rel=0.1)
 
 
 def test_shapes_that_sensors_show_otherwise_widen_the_intervals_less_the_more_modes_move():
@@ -199,7 +198,7 @@ def test_shapes_that_sensors_show_otherwise_widen_the_intervals_less_the_more_mo
     share = 0.02
     sure, unsure = std_of(tried, day_with()), std_of(tried, day_with(shown_std=share))
     for name, value in tried.law.values.items():
-        added = np.sqrt(unsure[name] ** 2 - sure[name] ** 2) / (OTHER_DAY * value)
+        added = np.sqrt(unsure[name] ** 2 - sure[name] ** 2) / value
         assert share / np.sqrt(day.modes.size) < added < share
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from operando.data import ModalModel
 from operando.diagnosis.between import spreads_of
-from operando.diagnosis.by_hand import estimated, fitted_to
+from operando.diagnosis.by_hand import estimated, fitted_at_once
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.derivatives import Moved
 from operando.diagnosis.document import between_rows
@@ -36,10 +36,10 @@ def day_of(
 
     What differs may be more than days have: the effects known so far need not be all, and the records say whether the day helps.
 
-    ``options`` are of :func:`operando.diagnosis.by_hand.fitted_to`.
+    ``options`` are of :func:`operando.diagnosis.by_hand.fitted_at_once`.
     """
     with one_blas_thread():
-        state = _beside(idle, effects, run, progress, of_day=True, **options)
+        state = _beside(idle, effects, run, progress, may_strain=True, **options)
         bare = _Bare(state, replace(state.x, u=np.zeros(0), terms=()))
         return bare.day(idle, spreads_of(options["between"] or {})) if between_rows(state) else None
 
@@ -59,7 +59,7 @@ def between_beside(
 def _beside(
     idle: ModalModel, effects: Sequence[Effect], run: CheckRun, progress: Callable[[str], None] | None = None, **options: Any
 ) -> State:
-    return estimated(fitted_to(idle, effects, run, progress or (lambda text: None), **options)[0][-1])
+    return estimated(fitted_at_once(idle, effects, run, progress or (lambda text: None), **options))
 
 
 def usual_day(idle: ModalModel, between: Mapping[str, float]) -> Day:

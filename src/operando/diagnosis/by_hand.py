@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -149,6 +150,31 @@ def apply_effects(
 
 
 def fitted_to(
+    idle: ModalModel, effects: Sequence[Effect], run: CheckRun, say: Callable[[str], None], **options: Any
+) -> tuple[list[State], Geometry | None]:
+    """Fits to FRFs of the idle model with none of the effects, the first one, and so on; and the geometry with their positions.
+
+    ``options`` are ``band``, ``geometry``, ``idle_frf`` and ``between`` of :func:`apply_effects`.
+    """
+    cases, terms, geometry = _posed(idle, effects, run, say, **options)
+    return _in_turn(cases, terms, say), geometry
+
+
+def fitted_at_once(
+    idle: ModalModel, effects: Sequence[Effect], run: CheckRun, say: Callable[[str], None], *, may_strain: bool = False, **options: Any
+) -> State:
+    """The fit with all effects: begun as at rest where that explains the FRFs, as the last one of :func:`fitted_to` where it does not.
+
+    Days that would have to differ by more than days do stand for what is missing, and only ``may_strain`` takes them.
+    """
+    cases, terms, _ = _posed(idle, effects, run, say, **options)
+    found = [fitted_if_can_be(case, started(case, tuple(terms)), LOOSE) for case in cases]
+    explain = [state for state in found if state is not None and state.alpha < EXPLAINED]
+    usual = [state for state in explain if may_strain or state.case is cases[0] or not strained(state)]
+    return max(usual, key=lambda state: state.log_evidence) if usual else _in_turn(cases, terms, say, may_strain)[-1]
+
+
+def _posed(
     idle: ModalModel,
     effects: Sequence[Effect],
     run: CheckRun,
@@ -158,13 +184,8 @@ def fitted_to(
     geometry: Geometry | None,
     idle_frf: Frf | None,
     between: Mapping[str, float] | None,
-    of_day: bool = False,
-) -> tuple[list[State], Geometry | None]:
-    """Fits to FRFs of the idle model with none of the effects, the first one, and so on; and the geometry with their positions.
-
-    Days that would have to differ by more than days do stand for what is missing, and only ``of_day`` takes them. Then the last fit alone
-    counts: where one with all effects, begun as at rest, explains the FRFs, there are no others.
-    """
+) -> tuple[list[Case], list[Term], Geometry | None]:
+    """The FRFs with one set-up and, where the test does not say, with another day; effects as terms; geometry with their positions."""
     measured = Measured.of(idle, run.frf, idle_frf, band, say)
     known, places, geometry = _placed(measured.model, effects, geometry)
     kinds = searched(None, measured.poor)
@@ -180,19 +201,19 @@ def fitted_to(
         if grown is None:
             raise DataError(f"no mode near {hz:.4g} Hz adds to the FRFs at their drive points", hint="name another frequency")
         known = grown
-    terms = [Term.of(e, p) for e, p in zip(effects, places, strict=True)]
-    # one set-up, or another day: where the test does not say, what explains the check better with all effects
-    one_day, other_day = of_check(known, spreads_of(between) if between else SAME_SET_UP), of_check(known, spreads_of({}))
-    if of_day:
-        direct = [fitted_if_can_be(case, started(case, tuple(terms)), LOOSE) for case in (one_day, *(() if between else (other_day,)))]
-        if explains := [state for state in direct if state is not None and state.alpha < EXPLAINED]:
-            return [max(explains, key=lambda state: state.log_evidence)], geometry
-    states = _steps(one_day, terms, say)
-    if not between and (states[-1].alpha > LOOSE or _explains_better(other_day, states[-1])):
-        steps = _steps(other_day, terms, say)
-        usual = of_day or not strained(steps[-1])
-        states = steps if usual and steps[-1].log_evidence > states[-1].log_evidence else states
-    return states, geometry
+    spreads = [spreads_of(between)] if between else [SAME_SET_UP, spreads_of({})]
+    return [of_check(known, s) for s in spreads], [Term.of(e, p) for e, p in zip(effects, places, strict=True)], geometry
+
+
+def _in_turn(cases: Sequence[Case], terms: Sequence[Term], say: Callable[[str], None], may_strain: bool = False) -> list[State]:
+    """Fits one effect after the other, with one set-up or another day: what explains the FRFs better with all effects."""
+    states = _steps(cases[0], terms, say)
+    for other_day in cases[1:]:
+        if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
+            steps = _steps(other_day, terms, say)
+            usual = may_strain or not strained(steps[-1])
+            states = steps if usual and steps[-1].log_evidence > states[-1].log_evidence else states
+    return states
 
 
 def estimated(state: State) -> State:

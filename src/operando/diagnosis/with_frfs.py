@@ -14,7 +14,7 @@ from operando.diagnosis.arguments import chosen_run
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.records import Day, RecordsApplied, apply_to_records
-from operando.diagnosis.records_and_days import NO_DAY, OF_A_DAY, ONE_DAY, on_its_days, spring_and_damper
+from operando.diagnosis.records_and_days import NO_DAY, OF_A_DAY, ONE_DAY, day_again, spring_and_damper
 from operando.errors import IdentificationError, OperandoError
 from operando.results import CheckRun
 from operando.structure.effects import Effect
@@ -82,9 +82,13 @@ def _on_days(
     def beside(linear: Sequence[Effect], measured: CheckRun) -> Day | None:
         return day_of(idle, linear, measured, options.get("progress"), **of_day)
 
-    linear = _linear(effects, of_day["band"] or idle.band_hz)
-    there = on_its_days(beside, lambda day: look(day=day), lambda applied: applied, linear, run)
-    return [replace(applied, words=(*applied.words, OF_A_DAY.format(run=run.name))) for _, applied in there]
+    tried: list[RecordsApplied] = []
+    day = beside(_linear(effects, of_day["band"] or idle.band_hz), run)
+    if day is not None:
+        tried.append(look(day=day))
+        again = day_again(beside, tried[0], run)
+        tried += [] if again is None else [look(day=again)]
+    return [replace(applied, words=(*applied.words, OF_A_DAY.format(run=run.name))) for applied in tried]
 
 
 def _sized(idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], options: dict[str, Any]) -> tuple[Applied | None, str]:
