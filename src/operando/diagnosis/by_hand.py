@@ -163,15 +163,16 @@ def fitted_to(
 def fitted_at_once(
     idle: ModalModel, effects: Sequence[Effect], run: CheckRun, say: Callable[[str], None], *, may_strain: bool = False, **options: Any
 ) -> State:
-    """The fit with all effects: begun as at rest where that explains the FRFs, as the last one of :func:`fitted_to` where it does not.
+    """The fit with all effects, begun as at rest: with one set-up or another day, what is more probable.
 
     Days that would have to differ by more than days do stand for what is missing, and only ``may_strain`` takes them.
     """
     cases, terms, _ = _posed(idle, effects, run, say, **options)
     found = [fitted_if_can_be(case, started(case, tuple(terms)), LOOSE) for case in cases]
-    explain = [state for state in found if state is not None and state.alpha < EXPLAINED]
-    usual = [state for state in explain if may_strain or state.case is cases[0] or not strained(state)]
-    return max(usual, key=lambda state: state.log_evidence) if usual else _in_turn(cases, terms, say, may_strain)[-1]
+    usual = [state for state in found if state is not None and (may_strain or state.case is cases[0] or not strained(state))]
+    if not usual:
+        raise DataError(f"no FRF has {' and '.join(term.kind for term in terms)} with these values", hint="give other start values")
+    return max(usual, key=lambda state: state.log_evidence)
 
 
 def _posed(
@@ -205,14 +206,14 @@ def _posed(
     return [of_check(known, s) for s in spreads], [Term.of(e, p) for e, p in zip(effects, places, strict=True)], geometry
 
 
-def _in_turn(cases: Sequence[Case], terms: Sequence[Term], say: Callable[[str], None], may_strain: bool = False) -> list[State]:
+def _in_turn(cases: Sequence[Case], terms: Sequence[Term], say: Callable[[str], None]) -> list[State]:
     """Fits one effect after the other, with one set-up or another day: what explains the FRFs better with all effects."""
     states = _steps(cases[0], terms, say)
     for other_day in cases[1:]:
         if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
             steps = _steps(other_day, terms, say)
-            usual = may_strain or not strained(steps[-1])
-            states = steps if usual and steps[-1].log_evidence > states[-1].log_evidence else states
+            if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence:
+                states = steps
     return states
 
 

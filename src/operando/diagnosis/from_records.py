@@ -73,14 +73,10 @@ def diagnose_levels(
             notes.append(f"{reason}; the records cannot tell why: {error.message}")
             return None
         if not seen.nonlinear:
-            notes.append(f"{reason}, but no level-dependent effect of the catalogue improves the model")
+            notes.append(f"{reason}, but the records support no level-dependent effect of the catalogue")
         return seen
 
-    unused: tuple[str, ...] = ()
-    try:
-        times = measured_distortion(idle, records, band, exclude_bands)
-    except OperandoError as error:
-        times, unused = None, (f"the levels of the records were not compared: {error.message}",)
+    times, unused = _at_the_higher_level(idle, records, band, exclude_bands)
     more = times is not None and times > FAINT
     levels = levels_disagree(check) or more
     reason = suspicion(check, idle_frf)
@@ -88,25 +84,23 @@ def diagnose_levels(
         # A law of even order, or one that what differs between the days hides, leaves FRFs as they are: only records tell.
         reason = f"the higher level holds at least {times:.3g} times as much as the lower one that is not proportional to the force"
     seen = None if reason is None else seen_because(reason)
-    if reason is None or seen is None or not seen.nonlinear:
-        found = linear()
-        if reason is None and found.verdict in SURE:
-            reason = suspicion_at(found.effects, check, idle_frf)
-            seen = None if reason is None else seen_because(reason)
-        if reason is None and found.model is not None:
-            try:
-                reason = "; ".join(str(row) for row in sizes_by_level(found.model, records, band) if row.changes) or None
-            except OperandoError as error:
-                unused = (f"sizes of effects were not compared between levels: {error.message}",)
-            if reason is not None:
-                levels, seen = True, seen_because(reason)
-        if check and seen is not None and not seen.nonlinear and seen.verdict != "no_misfit" and found.effects:
-            # What stands for the law at the lowest level leaves the day as it is.
-            seen = looks.on_that_day(seen, found.effects)
-        found = replace(found, notes=(*found.notes, *notes, *unused)) if notes or unused else found
     if reason is not None and seen is not None and seen.nonlinear:
         return told(seen, (reason,))
+    found = linear()
+    if reason is None:
+        if found.verdict in SURE:
+            reason = suspicion_at(found.effects, check, idle_frf)
+        if reason is None:
+            reason, why_not = _by_sizes(found, records, band)
+            unused, levels = (*unused, *why_not), levels or reason is not None
+        seen = None if reason is None else seen_because(reason)
+    if check and seen is not None and not seen.nonlinear and seen.verdict != "no_misfit" and found.effects:
+        # What stands for the law at the lowest level leaves the day as it is.
+        seen = looks.on_that_day(seen, found.effects)
+    found = replace(found, notes=(*found.notes, *notes, *unused)) if notes or unused else found
     if reason is not None:
+        if seen is not None and seen.nonlinear:
+            return told(seen, (reason,))
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
         if found.verdict in SURE and (levels or (seen is None and found.verdict == "explained")):
             left = "partial" if found.effects else "unexplained"
@@ -122,6 +116,26 @@ def diagnose_levels(
     except OperandoError as error:
         return replace(found, notes=(*found.notes, f"the records were not used: {error.message}"))
     return told(seen) if seen.nonlinear and seen.verdict in SURE else found
+
+
+def _at_the_higher_level(
+    idle: ModalModel, records: Sequence[TimeRecord], band: tuple[float, float] | None, exclude_bands: Sequence[tuple[float, float]]
+) -> tuple[float | None, tuple[str, ...]]:
+    """Times that the higher level surely holds what is not proportional to the force, or why that is not known."""
+    try:
+        return measured_distortion(idle, records, band, exclude_bands), ()
+    except OperandoError as error:
+        return None, (f"the levels of the records were not compared: {error.message}",)
+
+
+def _by_sizes(found: Diagnosis, records: Sequence[TimeRecord], band: tuple[float, float] | None) -> tuple[str | None, tuple[str, ...]]:
+    """Effects found in FRFs whose size depends on the level of the records, in words; or why that is not known."""
+    if found.model is None:
+        return None, ()
+    try:
+        return "; ".join(str(row) for row in sizes_by_level(found.model, records, band) if row.changes) or None, ()
+    except OperandoError as error:
+        return None, (f"sizes of effects were not compared between levels: {error.message}",)
 
 
 def merged(

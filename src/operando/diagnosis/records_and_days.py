@@ -35,7 +35,7 @@ the same takes part of the law: a ratio of 0.174 ± 0.003 where 0.185 is hidden,
 class RecordsAndDays:
     """The records of a validation measurement, with its FRFs where there are any; options as in :func:`operando.diagnose`.
 
-    ``wanted`` are ``kinds``, ``places`` and ``exclude_bands`` of :func:`diagnose_records`.
+    ``wanted`` are ``kinds``, ``places``, ``exclude_bands`` and ``at_most`` of :func:`diagnose_records`.
     """
 
     idle: ModalModel
@@ -96,11 +96,11 @@ class RecordsAndDays:
             there: list[tuple[RecordsDiagnosis, Day, tuple[Dof, ...]]] = []
             for location in days[0].found.locations:
                 day = beside(spring_and_damper(location, self.band or self.idle.band_hz))
-                there += [] if day is None else [(on(day, OF_A_DAY, places=[location]), day, location)]
+                there += [] if day is None else [(on(day, OF_A_DAY, places=[location], at_most=1), day, location)]
             if there:
                 found, day, location = min(there, key=lambda one: one[0].found.log_score)
                 again = day_again(beside, found.found, run)
-                if again is not None and on(again, OF_A_DAY, places=[location]).found.log_score < found.found.log_score:
+                if again is not None and on(again, OF_A_DAY, places=[location], at_most=1).found.log_score < found.found.log_score:
                     day = again
                 days.append(on(day, OF_A_DAY))  # at all locations: a look at one cannot say that it is none of the others
             if not any(day.nonlinear for day in (seen, *days)):

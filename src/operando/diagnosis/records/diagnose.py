@@ -36,6 +36,7 @@ def diagnose_records(
     exclude_bands: Sequence[tuple[float, float]] = (),
     progress: Callable[[str], None] | None = None,
     day: Day | None = None,
+    at_most: int = MAX_EFFECTS,
 ) -> RecordsDiagnosis:
     """Name the level-dependent effect that is missing in the idle model in records of the running state with measured force.
 
@@ -60,6 +61,8 @@ def diagnose_records(
         Told what is being done.
     day : Day, optional
         Another day than that of the idle model, on which the records were taken; they are corrected for its gains.
+    at_most : int
+        Number of effects to look for.
 
     Returns
     -------
@@ -79,7 +82,7 @@ def diagnose_records(
     with one_blas_thread():
         case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands, day)
         wanted = wanted_kinds(kinds)
-        return _diagnose(case, wanted, geometry, progress)
+        return _diagnose(case, wanted, geometry, progress, at_most)
 
 
 def measured_distortion(
@@ -117,7 +120,9 @@ def wanted_kinds(kinds: Sequence[str] | None) -> list[str]:
     return [k for k in (kind_of(k).kind for k in kinds) if k in (*nonlinear, "ground_spring", "ground_damper")] or nonlinear
 
 
-def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, say: Callable[[str], None] | None) -> RecordsDiagnosis:
+def _diagnose(
+    case: RecordsCase, kinds: list[str], geometry: Geometry | None, say: Callable[[str], None] | None, at_most: int
+) -> RecordsDiagnosis:
     first = case
     steps: list[SearchStep] = []
     accepted: list[Tried] = []
@@ -133,8 +138,8 @@ def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, sa
             break
         best = as_far_as_known(case, step, closed_loop_force(case, refined(best)), accepted)
         accepted.append(best)
-        if len(accepted) == MAX_EFFECTS:
-            more = f"no search for more than {MAX_EFFECTS} effects is made"
+        if len(accepted) >= at_most:
+            more = f"no search for more than {at_most} effects is made" if at_most > 1 else "no search for more than one effect is made"
             break
         case = with_law(case, best)
         if best.spot.free < ONE_PLACE:
