@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -32,6 +33,7 @@ from operando.diagnosis.records.hold_out import Discrepancy
 from operando.structure import ForceLaw
 from operando.structure.effects import Effect
 
+spot_module, conclude_module = (sys.modules[f"operando.diagnosis.records.{name}"] for name in ("spot", "conclude"))
 STRIP = Strip(seed=3)
 STIFFNESS, GAP = 8e3, 6e-4
 
@@ -166,6 +168,38 @@ def test_the_best_linear_law_is_bounded_where_bands_have_no_fitted_lines():
 def test_places_are_compared_with_what_lies_outside_the_band():
     bare = make_case(STRIP.idle(residual=False), records())
     assert rank_places(bare, bare.places)[0][1] == (4,)
+
+
+@pytest.mark.parametrize(("lines", "knots"), [(600, 9), (300, 9), (600, 5), (600, 17)])
+def test_places_are_compared_alike_with_fewer_lines_and_other_pieces(monkeypatch, lines, knots):
+    """RANK_LINES and RANK_KNOTS: half the lines, half or twice the pieces leave the location the first by as much."""
+    bare = make_case(STRIP.idle(), records())
+    assert (spot_module.RANK_LINES, spot_module.RANK_KNOTS) == (600, 9)
+    monkeypatch.setattr(spot_module, "RANK_LINES", lines)
+    monkeypatch.setattr(spot_module, "RANK_KNOTS", knots)
+    (left, best), (second, _) = rank_places(bare, bare.places)[:2]
+    assert best == (4,)
+    assert left < 0.9 * second
+
+
+@pytest.mark.parametrize(("gap", "allowed"), [(5.5e-3, True), (4.5e-3, False)])
+def test_where_the_hold_out_set_leaves_a_gap_open_the_louder_runs_speak(monkeypatch, gap, allowed):
+    """As in frame 10425. At 4.5 mm the gap is closed so often that 3.3 is left of the louder runs with the discrepancy that is allowed."""
+    asked, verdict_of = [], conclude_module.verdict_of
+
+    def spied(validation, within, **options):
+        asked.append((validation, within))
+        return verdict_of(validation, within=within, **options)
+
+    monkeypatch.setattr(conclude_module, "verdict_of", spied)
+    hidden = [(place(STRIP, 4), "clearance", {"stiffness": STIFFNESS, "gap": gap})]
+    open_below = measure_many(STRIP, {"contact": hidden}, seconds=12.0, run_in=3.0)["contact"]
+    places = [(STRIP.idle().dofs[i],) for i in range(8)]
+    made = diagnose_records(STRIP.idle(), open_below, kinds=["clearance", "ground_spring", "one_sided_contact"], places=places)
+    validation, within = asked[0]
+    assert [e.kind for e in made.effects] == ["clearance"]
+    assert validation[0] < 1.2
+    assert within == allowed
 
 
 def faster(motion, part, hz=235.0):
