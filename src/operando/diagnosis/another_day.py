@@ -94,7 +94,7 @@ class _Bare:
     x: Point
 
     def day(self, idle: ModalModel, spread: Mapping[str, float]) -> Day | None:
-        """The idle model on that day; None where it has other terms or DOFs.
+        """The idle model on that day; None where it has other terms or DOFs, or residual terms that do not vibrate: no day makes those.
 
         A law is another spring and damper under each force, and the FRFs are fitted with one for all: each record finds the modes again, by
         what days differ in. With what the FRFs alone leave open hysteresis was lost or took what the day was taken to differ in (rotor
@@ -106,6 +106,8 @@ class _Bare:
             return None
         between, (std_d, std_own) = forward.between, self.state.std()
         f, zeta, turn = self.uncoupled(moved)
+        if np.any(zeta >= 1):
+            return None
         shown = np.array(moved.phi, float)
         shown[:, modes] += between.across(between.own_parts(self.x.own[:, forward.n_shape :])["seen"])
         sensor, force = between.own["sensor"], between.shared["force"]

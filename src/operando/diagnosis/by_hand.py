@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -19,6 +19,7 @@ from operando.diagnosis.criteria import EXPLAINED, LOOSE, MOST_CHI_SQUARE, toler
 from operando.diagnosis.days import strained
 from operando.diagnosis.discrepancy import discrepancy_row, most_likely
 from operando.diagnosis.document import another_day, between_rows, judged_on, ladder, step_row
+from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.measured import Measured
@@ -259,8 +260,8 @@ def _steps(case: Case, terms: Sequence[Term], say: Callable[[str], None]) -> lis
         found: list[State] = []
         for start in starts:
             x = last.carried([*last.terms, start])
-            for near in (False, True):  # where the first fit explains the lines, another way to it is not tried
-                begin, alpha = (approach(case, x)[1], 0.03) if near else (x, last.alpha)
+            # What was fitted without the effect may stand for it. Where a fit explains the lines, another way to it is not tried.
+            for begin, alpha in _begun(case, x, last.alpha):
                 state = fitted_if_can_be(case, begin, alpha, floor=max((s.log_evidence for s in found), default=-np.inf))
                 found += [] if state is None else [state]
                 if state is not None and state.alpha < LOOSE:
@@ -276,6 +277,13 @@ def _steps(case: Case, terms: Sequence[Term], say: Callable[[str], None]) -> lis
             best = best if state is None or _left(state, last.alpha) > _left(best, last.alpha) else state
         states.append(best)
     return states
+
+
+def _begun(case: Case, x: Point, alpha: float) -> Iterator[tuple[Point, float]]:
+    """Points to begin a fit at with the discrepancy there: everything else as at rest, as it was fitted without, and nearer."""
+    yield started(case, x.terms), LOOSE
+    yield x, alpha
+    yield approach(case, x)[1], 0.03
 
 
 def _faint(term: Term, part: float) -> Term | None:

@@ -92,17 +92,25 @@ class RecordsAndDays:
             days = [on(first, OF_A_DAY)]
             if days[0].verdict == "no_misfit" and not seen.nonlinear:  # at no level is there more than the FRFs of one level know
                 return days[0]
-            # A day beside nothing may be what the FRFs hold of a law; the location shows all the same.
+            # A day beside nothing may be what the FRFs hold of a law. The location shows all the same, or did without a day.
             there: list[tuple[RecordsDiagnosis, Day, tuple[Dof, ...]]] = []
-            for location in days[0].found.locations:
-                day = beside(spring_and_damper(location, self.band or self.idle.band_hz))
+            laws = {frozenset(d.found.effects[0].location): d.found for d in (days[0], seen) if d.found.effects}
+            locations = [*seen.found.locations[:1], *days[0].found.locations, *(law.effects[0].location for law in laws.values())]
+            for location in {frozenset(location): location for location in reversed(locations)}.values():
+                law = laws.get(frozenset(location))
+                day = None if law is None else day_again(beside, law, run)
+                day = day or beside(spring_and_damper(location, self.band or self.idle.band_hz))
                 there += [] if day is None else [(on(day, OF_A_DAY, places=[location], at_most=1), day, location)]
             if there:
                 found, day, location = min(there, key=lambda one: one[0].found.log_score)
                 again = day_again(beside, found.found, run)
-                if again is not None and on(again, OF_A_DAY, places=[location], at_most=1).found.log_score < found.found.log_score:
-                    day = again
-                days.append(on(day, OF_A_DAY))  # at all locations: a look at one cannot say that it is none of the others
+                more = None if again is None else on(again, OF_A_DAY, places=[location], at_most=1)
+                if again is not None and more is not None and more.found.log_score < found.found.log_score:
+                    found, day = more, again
+                # At all locations: a look at one cannot say that it is none of the others, unless these leave more.
+                whole = on(day, OF_A_DAY)
+                others = keys_of(whole) != keys_of(found) and whole.found.log_score > found.found.log_score
+                days.append(on(day, OF_A_DAY, places=[location]) if others else whole)
             if not any(day.nonlinear for day in (seen, *days)):
                 days.append(on(usual_day(self.idle, self.between or {}), OF_ANY_DAY))
         except OperandoError as error:
@@ -110,6 +118,11 @@ class RecordsAndDays:
         for other in days:
             seen = other if _says_more(other, seen) else seen
         return seen
+
+
+def keys_of(seen: RecordsDiagnosis) -> list[tuple[str, frozenset[Dof]]]:
+    """Kinds and locations of the effects that a search accepted first."""
+    return [(e.kind, frozenset(e.location)) for e in seen.found.effects[:1]]
 
 
 def day_again(beside: Callable[[Sequence[Effect], CheckRun], Day | None], found: FoundLaws | RecordsApplied, run: CheckRun) -> Day | None:
