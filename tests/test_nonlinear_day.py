@@ -15,6 +15,7 @@ from operando.diagnosis.another_day import usual_day
 from operando.diagnosis.between import FAMILIES, SPREADS, Between
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.records import Day, Sets, Spot, Tried, examine, make_case, std_of
+from operando.diagnosis.records.conclude import log_score
 from operando.diagnosis.records.day import powers
 from operando.diagnosis.records.motion import PlaceDrive, measured_share
 from operando.diagnosis.records.place import TOGETHER, Along, Weighted, solved
@@ -169,6 +170,14 @@ def test_gains_of_the_channels_are_taken_out():
         np.testing.assert_allclose(bare.data[i] * gains[keys.index(record.channels[i].dof.key)], record.data[i])
     for i in record.force_indices:
         np.testing.assert_array_equal(bare.data[i], record.data[i])
+
+
+def test_how_probable_records_are_does_not_depend_on_the_noise_that_was_taken():
+    """Where ten times the noise is left the noise that was found beside a law decided, not what was left (frame 10416)."""
+    run = make_case(STRIP.idle(), records(), places=[(4,)]).runs[0]
+    one, other = Weighted.of(run), Weighted.of(replace(run, variance=run.variance / 2))
+    assert log_score([(other, run.error)]) == pytest.approx(log_score([(one, run.error)]), abs=0.05)
+    assert log_score([(one, run.error / 2)]) == pytest.approx(log_score([(one, run.error)]) - np.log(4), abs=1e-6)
 
 
 @pytest.mark.parametrize(

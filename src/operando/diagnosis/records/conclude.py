@@ -17,6 +17,7 @@ from operando.diagnosis.records.hold_out import Discrepancy, judged_on, step_row
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.refine import std_of
 from operando.diagnosis.records.result import Equivalents, FoundLaws, RecordsDiagnosis, linear_model
+from operando.diagnosis.records.run import running_mean
 from operando.diagnosis.records.steps import SearchStep, Tried, alike, nested
 from operando.diagnosis.records.surface import equivalents, surface
 from operando.diagnosis.result import spacing
@@ -170,13 +171,13 @@ def found_laws(
 
 
 def log_score(runs: Iterable[tuple[Weighted, np.ndarray]]) -> float:
-    """Mean of ln σ² + |error|²/σ² over all lines of runs, each with its error.
+    """Mean over all lines of runs of ln of the mean square error of the lines around, each run with its error.
 
-    The less, the more probable are the records, whatever noise σ was found beside the force laws (Gneiting & Raftery, JASA 102, 2007,
-    359–378).
+    The less, the more probable are the records. What is left has no known size, and the likelihood with the most probable one counts
+    (concentrated likelihood: Seber & Wild, Nonlinear Regression, 1989, section 2.2.3), whatever noise was found beside the force laws.
     """
-    scores = [np.abs(w.with_error(error).decayed()) ** 2 - 2 * np.log(w.root) for w, error in runs]
-    return float(np.mean(np.concatenate([s.ravel() for s in scores])))
+    left = [running_mean(np.abs(w.with_error(error).decayed() / w.root) ** 2) for w, error in runs]
+    return float(np.mean(np.concatenate([np.log(np.maximum(power, 1e-300)).ravel() for power in left])))
 
 
 def is_allowed(left: Discrepancy, idle: Discrepancy) -> bool:
