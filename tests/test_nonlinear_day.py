@@ -113,6 +113,25 @@ def test_an_effect_that_the_idle_model_as_it_was_refuses_is_fitted_on_the_day(mo
         with_frfs.apply_with_frfs(day.idle, [effect], records(), [CheckRun])
 
 
+def test_what_is_found_on_the_first_day_stays_where_the_second_is_refused(monkeypatch):
+    day, days = day_with(), []
+
+    def day_of(*args, **options):
+        days.append(1)
+        if len(days) > 1:
+            raise DataError("no FRF has these values")
+        return day
+
+    monkeypatch.setattr(with_frfs, "day_of", day_of)
+    monkeypatch.setattr(records_and_days, "as_beside_one", lambda run, found: run)
+    monkeypatch.setattr(with_frfs, "chosen_run", lambda runs: SimpleNamespace(name="run 1", force_n=None))
+    effect = parse_effect(f"one_sided_contact@{STRIP.idle().dofs[4]}", None)
+    made = with_frfs.apply_with_frfs(day.idle, [effect], records(), [CheckRun])
+    assert len(days) == 2
+    assert made.ladder[-1]["heldout_error_db"] < 0.45
+    assert made.words[-1] == "records and what differs between the days: no FRF has these values"
+
+
 def test_where_the_day_is_not_found_what_was_added_stays_and_it_is_said(monkeypatch):
     def fails(*args, **options):
         raise DataError("no FRF has these values")

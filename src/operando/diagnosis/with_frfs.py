@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -57,7 +57,8 @@ def apply_with_frfs(
     explained = bool(tried) and tried[0].ladder[-1]["heldout_misfit"] < ONE_DAY
     if check and not explained and not any(e.kind == "point_mass" for e in effects):
         try:
-            tried += _on_days(look, idle, effects, chosen_run(check), options, frf_options or {})
+            for applied in _on_days(look, idle, effects, chosen_run(check), options, frf_options or {}):
+                tried.append(applied)  # what is found on the first day stays where the second is refused
         except OperandoError as error:
             words.append(NO_DAY.format(why=error.message))
     if refused is not None and not tried:
@@ -75,20 +76,24 @@ def _on_days(
     run: CheckRun,
     options: dict[str, Any],
     frf_options: dict[str, Any],
-) -> list[RecordsApplied]:
+) -> Iterator[RecordsApplied]:
     """The effects in records that are held against the idle model on the days of the FRFs of a run."""
     of_day = {name: options.get(name) for name in ("band", "geometry")} | {"idle_frf": None, "between": None} | frf_options
 
     def beside(linear: Sequence[Effect], measured: CheckRun) -> Day | None:
         return day_of(idle, linear, measured, options.get("progress"), **of_day)
 
-    tried: list[RecordsApplied] = []
+    def on(day: Day) -> RecordsApplied:
+        applied = look(day=day)
+        return replace(applied, words=(*applied.words, OF_A_DAY.format(run=run.name)))
+
     day = beside(_linear(effects, of_day["band"] or idle.band_hz), run)
     if day is not None:
-        tried.append(look(day=day))
-        again = day_again(beside, tried[0], run)
-        tried += [] if again is None else [look(day=again)]
-    return [replace(applied, words=(*applied.words, OF_A_DAY.format(run=run.name))) for applied in tried]
+        first = on(day)
+        yield first
+        again = day_again(beside, first, run)
+        if again is not None:
+            yield on(again)
 
 
 def _sized(idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], options: dict[str, Any]) -> tuple[Applied | None, str]:
