@@ -22,11 +22,10 @@ from operando.diagnosis.posterior import State
 from operando.diagnosis.records import Day
 from operando.results import CheckRun
 from operando.structure.effects import Effect
+from operando.structure.force_law import LINEAR
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
-
-SPRINGS = ("ground_spring", "ground_damper", "coupling_spring", "coupling_damper")
 
 
 def day_of(
@@ -155,7 +154,7 @@ class _Bare:
         """Standard deviations of spring and damper where both were fitted, by the rows of their location in order."""
         std: dict[tuple[int, ...], dict[str, float]] = {}
         for effect, term in zip(effects_of(self.state), self.state.terms, strict=True):
-            if effect.kind in SPRINGS and len(effect.std) == 1:
+            if effect.kind in LINEAR and len(effect.std) == 1:
                 std.setdefault(tuple(sorted(term.places)), {}).update(effect.std)
         return {place: (found["stiffness"], found["damping"]) for place, found in std.items() if len(found) == 2}
 

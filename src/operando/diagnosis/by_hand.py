@@ -155,10 +155,18 @@ def fitted_to(
 ) -> tuple[list[State], Geometry | None]:
     """Fits to FRFs of the idle model with none of the effects, the first one, and so on; and the geometry with their positions.
 
+    With one set-up or another day: what explains the FRFs better with all effects.
+
     ``options`` are ``band``, ``geometry``, ``idle_frf`` and ``between`` of :func:`apply_effects`.
     """
     cases, terms, geometry = _posed(idle, effects, run, say, **options)
-    return _in_turn(cases, terms, say), geometry
+    states = _steps(cases[0], terms, say)
+    for other_day in cases[1:]:
+        if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
+            steps = _steps(other_day, terms, say)
+            if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence:
+                states = steps
+    return states, geometry
 
 
 def fitted_at_once(
@@ -172,7 +180,8 @@ def fitted_at_once(
     found = [fitted_if_can_be(case, started(case, tuple(terms)), LOOSE) for case in cases]
     usual = [state for state in found if state is not None and (may_strain or state.case is cases[0] or not strained(state))]
     if not usual:
-        raise DataError(f"no FRF has {' and '.join(term.kind for term in terms)} with these values", hint="give other start values")
+        named = ", ".join(f"{e.kind} at {e.place}" for e in effects)
+        raise DataError(f"the FRFs of {run.name} cannot be fitted", where=named or None, hint="give other start values")
     return max(usual, key=lambda state: state.log_evidence)
 
 
@@ -205,17 +214,6 @@ def _posed(
         known = grown
     spreads = [spreads_of(between)] if between else [SAME_SET_UP, spreads_of({})]
     return [of_check(known, s) for s in spreads], [Term.of(e, p) for e, p in zip(effects, places, strict=True)], geometry
-
-
-def _in_turn(cases: Sequence[Case], terms: Sequence[Term], say: Callable[[str], None]) -> list[State]:
-    """Fits one effect after the other, with one set-up or another day: what explains the FRFs better with all effects."""
-    states = _steps(cases[0], terms, say)
-    for other_day in cases[1:]:
-        if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
-            steps = _steps(other_day, terms, say)
-            if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence:
-                states = steps
-    return states
 
 
 def estimated(state: State) -> State:

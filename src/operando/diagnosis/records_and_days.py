@@ -95,9 +95,9 @@ class RecordsAndDays:
             # A day beside nothing may be what the FRFs hold of a law. The location shows all the same, or did without a day.
             there: list[tuple[RecordsDiagnosis, Day, tuple[Dof, ...]]] = []
             laws = {frozenset(d.found.effects[0].location): d.found for d in (days[0], seen) if d.found.effects}
-            locations = [*seen.found.locations[:1], *days[0].found.locations, *(law.effects[0].location for law in laws.values())]
-            for location in {frozenset(location): location for location in reversed(locations)}.values():
-                law = laws.get(frozenset(location))
+            locations = [*(law.effects[0].location for law in laws.values()), *days[0].found.locations[::-1], *seen.found.locations[:1]]
+            for both, location in {frozenset(location): location for location in locations}.items():
+                law = laws.get(both)
                 day = None if law is None else day_again(beside, law, run)
                 day = day or beside(spring_and_damper(location, self.band or self.idle.band_hz))
                 there += [] if day is None else [(on(day, OF_A_DAY, places=[location], at_most=1), day, location)]
@@ -109,7 +109,7 @@ class RecordsAndDays:
                     found, day = more, again
                 # At all locations: a look at one cannot say that it is none of the others, unless these leave more.
                 whole = on(day, OF_A_DAY)
-                others = keys_of(whole) != keys_of(found) and whole.found.log_score > found.found.log_score
+                others = _first_of(whole) != _first_of(found) and whole.found.log_score > found.found.log_score
                 days.append(on(day, OF_A_DAY, places=[location]) if others else whole)
             if not any(day.nonlinear for day in (seen, *days)):
                 days.append(on(usual_day(self.idle, self.between or {}), OF_ANY_DAY))
@@ -120,9 +120,9 @@ class RecordsAndDays:
         return seen
 
 
-def keys_of(seen: RecordsDiagnosis) -> list[tuple[str, frozenset[Dof]]]:
-    """Kinds and locations of the effects that a search accepted first."""
-    return [(e.kind, frozenset(e.location)) for e in seen.found.effects[:1]]
+def _first_of(seen: RecordsDiagnosis) -> tuple[str, frozenset[Dof]] | None:
+    """Kind and location of the effect that a search accepted first."""
+    return next(((e.kind, frozenset(e.location)) for e in seen.found.effects), None)
 
 
 def day_again(beside: Callable[[Sequence[Effect], CheckRun], Day | None], found: FoundLaws | RecordsApplied, run: CheckRun) -> Day | None:

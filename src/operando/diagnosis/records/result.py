@@ -28,7 +28,7 @@ class FoundLaws:
     effects, equivalents : tuples
         As of a diagnosis.
     log_score : float
-        As :func:`operando.diagnosis.records.conclude.log_score` has it.
+        In nats a line: the less, the more probable are the records (:func:`operando.diagnosis.records.conclude.log_score`).
     locations : tuple of tuple of Dof
         Where a force may act that is missing in the idle model: where any force law explains most, and the best two of those that have a
         formula.

@@ -20,7 +20,8 @@ from operando.threads import each
 
 RANK_LINES, RANK_KNOTS = 600, 9
 """Lines of a run on which all places are compared, and knots of the laws without a formula there: with these the true place is
-the first in six of six measurements on two days (``benchmarks/hidden_effects``, 10392–10405); others were not tried."""
+the first in six of six measurements on two days (``benchmarks/hidden_effects``, 10392–10405). Half the lines, half or twice the
+knots leave it the first where a test tries them; on those measurements others were not tried."""
 
 NOISE_FLOOR = 1e-3
 """Least noise over rms of a response: the idle model is no better than this."""
