@@ -15,6 +15,7 @@ from operando.ema.order import refine
 from operando.ema.polish import polish, start_parameters
 from operando.ema.polish_model import run_model, transfer
 from operando.ema.spectra import excited_limits, noise_from_spectra, record_spectra
+from operando.ema.start import outside_kernels
 from operando.errors import DataError, IdentificationError
 from operando.indicators import mac
 from structures import Chain
@@ -323,6 +324,21 @@ def test_a_fit_that_cannot_reach_what_is_needed_is_given_up():
     lost = polish(runs, start, tolerance=1e-3, needed_cost=0.5 * whole.cost, progress=steps.append)
     assert not lost.converged
     assert len(steps) - of_all < of_all
+
+
+@pytest.mark.parametrize(("share", "force_noise"), [(3, 0.01), (6, 0.002)])
+def test_a_fit_reaches_its_end_from_no_terms_for_what_lies_outside(share, force_noise):
+    """A strong mode 8 % above the lines: full steps of the local terms ended the fit at 70 and 1500 times the noise."""
+    chain = plate_like()
+    top = int(np.argmax(chain.hz))
+    chain.phi[:, top] *= share
+    rng = np.random.default_rng(1)
+    records = [steady_record(chain, row, rng, x_noise=0.001, f_noise=force_noise) for row in (0, 3)]
+    runs = [record_spectra(record, DOFS, (15, 0.93 * chain.hz[top])) for record in records]
+    hz, zeta, shapes = np.delete(chain.hz, top), np.delete(chain.zeta, top), np.delete(chain.phi, top, axis=1)
+    fit = polish(runs, start_parameters(runs, hz, zeta, shapes, outside_kernels(runs, hz, False)))
+    assert fit.converged
+    assert fit.cost / fit.n_data < 1
 
 
 def test_kernels_below_the_band_are_asked_for_where_a_mode_lies_there():

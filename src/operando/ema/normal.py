@@ -130,7 +130,8 @@ class Equations:
         """Levenberg step of the global parameters and of those of each run, and the fall of the cost it foresees.
 
         Noise can ask for negative drive residues, which no mode has. Such modes keep the share :data:`LEAST_RESIDUE` of theirs, and all
-        other parameters move as is best with that.
+        other parameters move as is best with that. The unknowns of each run follow the global step in full, and their own, which the damping
+        shortens: far off, the noise of the forces takes up errors that are none of it, and a full one leads astray.
         """
         held = np.isinf(self.precision)
         normal = self.information.normal + np.diag(np.where(held, 0, self.precision))
@@ -151,9 +152,10 @@ class Equations:
             step = step + pull @ force
             gain = float(step @ self.right - LEAST_CHANGE * force.sum())
         nuisance = []
+        short = 1 / (1 + damping)
         for own, base, rest in zip(self.information.own, self.base, self.rest, strict=True):
-            nuisance.append((base - own.slope @ step) / own.scale)
-            gain += float(base @ rest)
+            nuisance.append((short * base - own.slope @ step) / own.scale)
+            gain += short * (2 - short) * float(base @ rest)
         return step, nuisance, gain
 
 
