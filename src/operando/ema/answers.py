@@ -218,7 +218,7 @@ def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, floa
     polished = Polished(parameters, np.zeros((0, 0)), tuple(estimates), float(fit.projection.cost.sum()), lines, 0, True)
     m, n = parameters.shapes.shape
     local_terms = local_terms and (n + 14 + m) * (2 + m) <= MOST_PARAMETERS
-    return outside_modes(runs, polished, band, True, max_dofs=CORE_DOFS, local_terms=local_terms)
+    return outside_modes(runs, polished, band, True, max_dofs=CORE_DOFS, local_terms=local_terms, model_error=fit.model_error)
 
 
 def left_beyond(fit: LinearFit, shapes: Real, gone: NDArray[np.bool_], frequencies_hz: Real) -> Complex:

@@ -130,7 +130,7 @@ class Equations:
         """Levenberg step of the global parameters and of those of each run, and the fall of the cost it foresees.
 
         Noise can ask for negative drive residues, which no mode has. Such modes keep the share :data:`LEAST_RESIDUE` of theirs, and all
-        other parameters move as is best with that. The unknowns of each run follow the global step in full, and their own, which the damping
+        other parameters move as is best with that. The unknowns of each run follow the global step in full; their own step the damping
         shortens: far off, the noise of the forces takes up errors that are none of it, and a full one leads astray.
         """
         held = np.isinf(self.precision)

@@ -94,7 +94,7 @@ def polished_answer(
     fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, first=first, log=log, progress=progress, unseen=unseen)
     final = _final(weighted, n_dofs, fit, lower, log, progress)
     gone = make_up(core_runs, final)
-    outside = outside_modes(core_runs, final, band, lower, gone=gone)
+    outside = outside_modes(core_runs, final, band, lower, gone=gone, model_error=share)
     terms = outside.hz, outside.zeta, outside.shapes, gone
     misfit, by_row, free_misfit = heldout_misfit(core_runs, n_dofs, final, band, terms, final.without if share <= 0 else None)
     if gone.size:

@@ -273,13 +273,16 @@ def search_poles(
         floor = 1e-12 * float(diagonal.max(initial=0.0)) + 1e-300
         better = None
         for _ in range(5):
-            step = np.linalg.solve(now.normal + np.diag(damping * diagonal + floor), pull)
+            free = np.linalg.solve(now.normal + np.diag(damping * diagonal + floor), pull)
             limit = np.concatenate([0.7 * poles.zeta, np.full(n, 0.6)])
-            step = np.clip(step, -limit, limit)  # each on its own: a pole that runs away must not hold the others
+            step = np.clip(free, -limit, limit)  # each on its own: a pole that runs away must not hold the others
             worth = max(LEAST_FALL, 1e-6 * total)
-            foreseen = float(2 * step @ pull - step @ now.normal @ step)
-            if foreseen < worth:
+            foreseen, at_most = (float(2 * d @ pull - d @ now.normal @ d) for d in (step, free))
+            if at_most < worth:
                 break  # even if all went as foreseen
+            if foreseen < worth:  # what was cut off held the rest: shorter, it is not
+                damping = max(10 * damping, 1e-6)
+                continue
             zeta = np.clip(poles.zeta * np.exp(step[n:]), 1e-5, max_damping * 1.02)
             trial = replace(poles, hz=poles.hz * np.exp(step[:n]), zeta=zeta)
             # shifts are counted from the pole: it moves, they do the other way
