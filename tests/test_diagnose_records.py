@@ -412,6 +412,15 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
     assert all("5+Z" in text for text in asked[2])
 
 
+def test_the_locations_that_are_looked_at_on_a_day_of_their_own():
+    """OF_THEIR_OWN_DAY: that of any force, and so many of those where laws leave least, in this order."""
+    tried = [SimpleNamespace(spot=SimpleNamespace(place=(row,))) for row in (4, 1, 1, 0, 2, 3)]
+    case, step = SimpleNamespace(idle=STRIP.idle()), SimpleNamespace(place=(1,), tried=tried)
+    law = sys.modules["operando.diagnosis.records.conclude"].found_laws(case, [], [], [], step, None)
+    assert sys.modules["operando.diagnosis.records.conclude"].OF_THEIR_OWN_DAY == 3
+    assert law.locations == tuple((STRIP.idle().dofs[row],) for row in (1, 4, 0))
+
+
 def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypatch):
     """A force law may be found elsewhere than where any force explains most (rotor 10397): what leaves less stands."""
     law, there = found("clearance"), (Dof.parse("5+Z"),)
