@@ -341,6 +341,17 @@ def test_a_fit_reaches_its_end_from_no_terms_for_what_lies_outside(share, force_
     assert fit.cost / fit.n_data < 1
 
 
+def test_a_fit_that_ends_before_its_minimum_is_said(fitted, monkeypatch):
+    from operando.ema import polished
+
+    _, records, frf, model = fitted
+    assert "not_converged" not in {f.kind for f in model.findings}
+    final = polished._final
+    monkeypatch.setattr(polished, "_final", lambda *a: replace(final(*a), converged=False, iterations=25))
+    [finding] = [f for f in fit_ema(frf, band=(10, 140), records=records).findings if f.kind == "not_converged"]
+    assert "after 25 steps" in finding.message
+
+
 def test_kernels_below_the_band_are_asked_for_where_a_mode_lies_there():
     """They start without a share in the fit that is known, which they leave as it is; one mode below the lines is told by them."""
     from operando.ema.polished import _needs_lower, _with_lower

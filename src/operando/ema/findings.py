@@ -170,6 +170,18 @@ def misfit_findings(misfit: float, free: float = float("nan"), parts: Mapping[st
     ]
 
 
+def unfinished_finding(steps: int, reduced_chi_square: float) -> Finding:
+    """The maximum-likelihood fit ended before its minimum."""
+    return Finding(
+        "not_converged",
+        f"the maximum-likelihood fit of the idle modes ended after {steps} steps before its minimum (reduced chi-square "
+        f"{reduced_chi_square:.3g})",
+        "warning",
+        consequence="modes are a little off their most probable values, which their standard deviations do not hold",
+        action='end the band between two modes, or take ema = "linear"',
+    )
+
+
 def _at(hz: Sequence[float]) -> str:
     """«the mode at 12.3 Hz», «the modes at 12.3, 14.5, … Hz (7 in all)»."""
     if len(hz) == 1:

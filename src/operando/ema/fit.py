@@ -26,6 +26,7 @@ from operando.ema.findings import (
     misfit_findings,
     quantity_finding,
     turned_finding,
+    unfinished_finding,
 )
 from operando.ema.handed_out import left_of
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
@@ -319,6 +320,8 @@ def _polished(
     )
     model = polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled)
     said += [turned_finding(str(job.dofs[row])) for row in answer.turned]
+    if not answer.fit.converged:
+        said.append(unfinished_finding(answer.fit.iterations, answer.fit.cost / answer.fit.n_data))
     return _Outcome(model, (theta.hz, theta.zeta, theta.shapes), details, said), reason
 
 
