@@ -14,7 +14,7 @@ import pytest
 
 from operando.diagnosis import another_day, by_hand, diagnose, from_records, records_and_days
 from operando.diagnosis.from_records import standing
-from operando.diagnosis.records import Detection, FoundLaws, steps
+from operando.diagnosis.records import Detection, FoundLaws, beside_others, steps
 from operando.diagnosis.suspicion import DISTORTION, FAINT, LOUDEST, beyond_rest, suspicion, suspicion_at
 from operando.dof import Dof
 from operando.errors import DataError
@@ -415,10 +415,40 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
 def test_the_locations_that_are_looked_at_on_a_day_of_their_own():
     """OF_THEIR_OWN_DAY: that of any force, and so many of those where laws leave least, in this order."""
     tried = [SimpleNamespace(spot=SimpleNamespace(place=(row,))) for row in (4, 1, 1, 0, 2, 3)]
-    case, step = SimpleNamespace(idle=STRIP.idle()), SimpleNamespace(place=(1,), tried=tried)
+    case = SimpleNamespace(located=lambda place: tuple(STRIP.idle().dofs[i] for i in place))
+    step = SimpleNamespace(place=(1,), tried=tried)
     law = sys.modules["operando.diagnosis.records.conclude"].found_laws(case, [], [], [], step, None)
     assert sys.modules["operando.diagnosis.records.conclude"].OF_THEIR_OWN_DAY == 3
     assert law.locations == tuple((STRIP.idle().dofs[row],) for row in (1, 4, 0))
+
+
+def elsewhere(law, more, node="2"):
+    """The same law at another location, where the records leave so much more (mean logarithm)."""
+    effects = tuple(Effect(e.kind, (f"{node}+Z",), e.values, std=e.std) for e in law.effects)
+    return replace(law, effects=effects, found=replace(law.found, log_score=law.found.log_score + more))
+
+
+@pytest.mark.parametrize(("more", "verdict"), [(0.9 * np.log1p(steps.ALIKE), "ambiguous"), (1.1 * np.log1p(steps.ALIKE), "explained")])
+def test_a_force_law_as_probable_on_a_day_of_its_own_stands_beside_the_one_that_is_found(more, verdict):
+    """Saturating spring 10554: at another location the records were as probable, which a search on the day of one cannot see."""
+    law = found("clearance")
+    made = beside_others(law, [law, elsewhere(law, more)], None)
+    assert made.verdict == verdict
+    assert [str(e.location[0]) for e in made.ambiguous_with] == (["2+Z"] if verdict == "ambiguous" else [])
+    assert ("2+Z" in made.proposed_measurement) == (verdict == "ambiguous")
+    partial = replace(law, verdict="partial")
+    assert beside_others(partial, [elsewhere(law, more)], None) is partial
+
+
+def test_records_of_which_the_quiet_level_alone_fits_are_not_without_misfit():
+    """Saturating spring 10554: a day of the lower level took its spring, and left the higher one at 6.5."""
+    rows = {"misfit": 6.5, "heldout_misfit": 1.26}
+    module = sys.modules["operando.diagnosis.records.conclude"]
+    assert module.without_law(rows) == (
+        "unexplained",
+        "the runs of all levels keep a reduced chi-square of 6.5, where less than 1.5 is asked",
+    )
+    assert module.without_law(rows | {"misfit": 1.4}) == ("no_misfit", None)
 
 
 def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypatch):

@@ -14,6 +14,7 @@ from operando.ema.outside import (
     LOCAL,
     LOCAL_SHAPE,
     MOST_DAMPING,
+    MOST_TOLERANCE,
     N_LINES,
     SHIFT,
     TOLERANCE,
@@ -140,23 +141,22 @@ def test_driven_columns_are_known_no_better_than_the_pseudo_modes_make_them(chai
 
 
 def test_what_the_fit_errs_by_is_asked_of_no_pseudo_mode(chain, runs):
-    """TOLERANCE where noise limits the fit; FRFs with a model error of 10 % tell no more of what lies outside than that."""
+    """TOLERANCE where noise limits the fit, up to MOST_TOLERANCE where a model error does."""
     hz = np.array([125.0, 150.0, 190.0, 300.0])
     local = 1e-3 * np.random.default_rng(1).uniform(0.5, 1.5, (N, hz.size))
     fit = without_modes(fitted(chain, runs, odd(1.0), 1e-3, hz, local), np.array([INSIDE]))
     f = np.linspace(*BAND, 60)[:, None]
     kernel = lambda hz, zeta: np.real(-(f**2) / (hz**2 - f**2 + 2j * zeta * hz * f))  # noqa: E731
     wanted = kernel(hz, 0.01) @ local.T
-    left, std, size = [], [], []
+    left, size = [], []
+    assert (TOLERANCE, MOST_TOLERANCE) == (0.01, 0.02)
     for error in (0.0, 0.1):
         made = outside_modes(runs, fit, BAND, False, local_terms=False, model_error=error)
         found = [kernel(made.hz, made.zeta) @ (made.shapes * made.shapes[row]).T for row in REFS]
         left.append(np.sqrt(np.mean((found - wanted) ** 2) / np.mean(wanted**2)))
-        std.append(np.sqrt(np.median(np.diag(made.covariance))))
         size.append(np.sqrt(np.mean(made.shapes**2)))
     assert left[0] < 3 * TOLERANCE  # no products of shapes lie there
-    assert left[0] < left[1] < 0.1
-    assert std[1] > std[0]
+    assert left[1] < 2 * MOST_TOLERANCE
     assert size[1] < size[0]
 
 

@@ -12,7 +12,7 @@ from operando.compare.verdict import SURE
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
 from operando.diagnosis.another_day import day_of, usual_day
 from operando.diagnosis.arguments import chosen_run
-from operando.diagnosis.records import Day, FoundLaws, RecordsApplied, RecordsDiagnosis, diagnose_records
+from operando.diagnosis.records import Day, FoundLaws, RecordsApplied, RecordsDiagnosis, beside_others, diagnose_records
 from operando.dof import Dof, DofIndex
 from operando.errors import OperandoError
 from operando.results import CheckRun
@@ -110,7 +110,8 @@ class RecordsAndDays:
                 # At all locations: a look at one cannot say that it is none of the others, unless these leave more.
                 whole = on(day, OF_A_DAY)
                 others = _first_of(whole) != _first_of(found) and whole.found.log_score > found.found.log_score
-                days.append(on(day, OF_A_DAY, places=[location]) if others else whole)
+                stands = on(day, OF_A_DAY, places=[location]) if others else whole
+                days.append(beside_others(stands, [one for one, *_ in there], self.geometry))
             if not any(day.nonlinear for day in (seen, *days)):
                 days.append(on(usual_day(self.idle, self.between or {}), OF_ANY_DAY))
         except OperandoError as error:

@@ -243,7 +243,10 @@ def _hidden(document: Mapping[str, Any]) -> str:
     """What would have been seen, where nothing was found; else why the verdict is no better."""
     verdict, seen = document.get("verdict"), [row for row in document.get("detectable") or [] if finite(row.get("value"))]
     if verdict == "no_misfit" and (effects := _would_have_been_seen(seen)):
-        return f"Of effects of these sizes, depending on the location, 95 % would have been found: {effects}."
+        found = f"Of effects of these sizes, depending on the location, 95 % would have been found: {effects}."
+        if (document.get("judged_on") or {}).get("level") is None:
+            return found
+        return f"{found} A force that depends on the level counts with its mean spring and damper at the levels measured."
     if verdict == "no_misfit" and seen:
         worst = max(seen, key=lambda row: float(row["value"]))
         factor, unit = engineering_unit(float(worst["value"]), worst["unit"])

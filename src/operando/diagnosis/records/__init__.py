@@ -6,7 +6,7 @@ Beside what :mod:`operando.diagnosis` names, the parts that the search is made o
 from operando.diagnosis.records.apply import apply_to_records
 from operando.diagnosis.records.case import RecordsCase, Sets, contradicted, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force, followed, groups, loop_for, recorded
-from operando.diagnosis.records.conclude import DISCREPANCY, conclude, too_fast
+from operando.diagnosis.records.conclude import DISCREPANCY, beside_others, conclude, too_fast
 from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.diagnose import diagnose_records, measured_distortion
@@ -30,6 +30,7 @@ __all__ = [
     "Spot",
     "Tried",
     "apply_to_records",
+    "beside_others",
     "closed_loop_force",
     "conclude",
     "contradicted",

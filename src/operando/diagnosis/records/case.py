@@ -13,6 +13,7 @@ from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.out_of_band import Doubt
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.run import Run, make_run
+from operando.dof import Dof
 from operando.errors import MissingError
 from operando.structure.modal_space import Modes, Real
 
@@ -64,7 +65,11 @@ class RecordsCase:
 
     def place_name(self, place: tuple[int, ...]) -> str:
         """DOFs of a place in words."""
-        return ", ".join(str(self.idle.dofs[i]) for i in place)
+        return ", ".join(map(str, self.located(place)))
+
+    def located(self, place: tuple[int, ...]) -> tuple[Dof, ...]:
+        """DOFs of a place."""
+        return tuple(self.idle.dofs[i] for i in place)
 
     def by_reference(self) -> list[list[Run]]:
         """Runs of the same driven DOFs together, lowest level first."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,10 @@ from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.refine import std_of
 from operando.diagnosis.records.result import Equivalents, FoundLaws, RecordsDiagnosis, linear_model
 from operando.diagnosis.records.run import running_mean
-from operando.diagnosis.records.steps import SearchStep, Tried, alike, nested
+from operando.diagnosis.records.steps import ALIKE, SearchStep, Tried, alike, nested
 from operando.diagnosis.records.surface import equivalents, surface
 from operando.diagnosis.result import spacing
+from operando.dof import Dof
 from operando.errors import DataError
 from operando.structure.effects import Effect
 
@@ -104,7 +106,10 @@ def conclude(
         rows.append(step_row(k + 1, effect, last, weighted, errors))
         rivals += [(best, t) for t in steps[k].tried if t.key != best.key and not nested(best, t) and alike(best, t)]
     alternatives = [effect_of(first, t) for _, t in rivals]
-    other = any(t.law.kind != best.law.kind or not neighbours(first, best, t, geometry) for best, t in rivals)
+    other = any(
+        t.law.kind != best.law.kind or not neighbours(first.located(best.spot.place), first.located(t.spot.place), geometry)
+        for best, t in rivals
+    )
     validation = [r["heldout_misfit"] for r in rows]
     unseen = floor_reason(rows[0].get("noise_floor_db"))
     part = last.hold_out()
@@ -115,6 +120,11 @@ def conclude(
         loud = slice(0, len(last.fitted))
         within = is_allowed(*(Discrepancy.of(last, weighted[loud], e[loud]) for e in (errors, idle_errors)))
     verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)
+    if verdict == "no_misfit" and not (left := rows[0]["misfit"]) < GOOD:  # the level of the hold-out set alone fits
+        verdict, reason = (
+            "unexplained",
+            f"the runs of all levels keep a reduced chi-square of {left:.3g}, where less than {GOOD:g} is asked",
+        )
     picture = pictures_of(first, effects, accepted, notes)
     if off is not None and verdict in ("explained", "ambiguous") and validation[-1] >= GOOD:
         notes.append(
@@ -156,6 +166,14 @@ def conclude(
     )
 
 
+def without_law(row: Mapping[str, Any]) -> tuple[str, str | None]:
+    """Verdict and reason where the hold-out set fits as it is: a day of its level may have taken the mean spring of a force law."""
+    left = row["misfit"]
+    if left < GOOD:
+        return "no_misfit", None
+    return "unexplained", f"the runs of all levels keep a reduced chi-square of {left:.3g}, where less than {GOOD:g} is asked"
+
+
 def found_laws(
     last: RecordsCase,
     weighted: Sequence[Weighted],
@@ -166,7 +184,7 @@ def found_laws(
 ) -> FoundLaws:
     """What the search accepted, with the score that it has."""
     places = dict.fromkeys([step.place, *list(dict.fromkeys(t.spot.place for t in step.tried))[:OF_THEIR_OWN_DAY]])
-    locations = tuple(tuple(last.idle.dofs[i] for i in place) for place in places)
+    locations = tuple(last.located(place) for place in places)
     if not accepted:
         return FoundLaws(locations=locations)
     same = equivalents_of(last, effects, accepted)
@@ -259,20 +277,40 @@ def simulated(case: RecordsCase, accepted: Sequence[Tried], notes: list[str]) ->
         return {}
 
 
-def neighbours(case: RecordsCase, a: Tried, b: Tried, geometry: Geometry | None) -> bool:
-    """Whether two places lie within one sensor spacing of each other."""
-    if len(a.spot.place) != len(b.spot.place):
+def neighbours(a: Sequence[Dof], b: Sequence[Dof], geometry: Geometry | None) -> bool:
+    """Whether two locations lie within one sensor spacing of each other."""
+    if len(a) != len(b):
         return False
-    if set(a.spot.place) == set(b.spot.place):
+    if set(a) == set(b):
         return True
     if geometry is None:
         return False
-    ends = [[geometry.position(case.idle.dofs[i].node) for i in t.spot.place] for t in (a, b)]
+    ends = [[geometry.position(dof.node) for dof in location] for location in (a, b)]
     if any(p is None for end in ends for p in end):
         return False
     one, two = np.array(ends, float)
     ways = [float(np.max(np.linalg.norm(one - order, axis=1))) for order in (two, two[::-1])]
     return min(ways) <= NEIGHBOURS * spacing(geometry)
+
+
+def beside_others(stands: RecordsDiagnosis, looks: Sequence[RecordsDiagnosis], geometry: Geometry | None) -> RecordsDiagnosis:
+    """One force law that stands, with those elsewhere by which the records are as probable, each on a day of its own.
+
+    On its day the others leave more: that day was found beside it. As within one search, :data:`ALIKE` is what cannot be told apart.
+    """
+    if stands.verdict not in ("explained", "ambiguous") or len(stands.effects) != 1:
+        return stands
+    best, known = stands.effects[0], {(e.kind, frozenset(e.location)) for e in (*stands.effects, *stands.ambiguous_with)}
+    bound = stands.found.log_score + np.log1p(ALIKE)
+    alike = {(e.kind, frozenset(e.location)): e for d in looks if d.nonlinear and d.found.log_score < bound for e in d.effects[:1]}
+    others = [effect for key, effect in alike.items() if key not in known]
+    if not others:
+        return stands
+    far = any(e.kind != best.kind or not neighbours(best.location, e.location, geometry) for e in others)
+    alternatives = (*stands.ambiguous_with, *others)
+    proposed = proposal(stands.effects, alternatives)
+    verdict = "ambiguous" if far else stands.verdict
+    return replace(stands, verdict=verdict, ambiguous_with=alternatives, proposed_measurement=proposed)
 
 
 def proposal(effects: Sequence[Effect], alternatives: Sequence[Effect]) -> str | None:
