@@ -436,6 +436,8 @@ def test_a_force_law_as_probable_on_a_day_of_its_own_stands_beside_the_one_that_
     assert made.verdict == verdict
     assert [str(e.location[0]) for e in made.ambiguous_with] == (["2+Z"] if verdict == "ambiguous" else [])
     assert ("2+Z" in made.proposed_measurement) == (verdict == "ambiguous")
+    other_kind = replace(law, effects=(Effect("cubic_stiffness", law.effects[0].location, {"coefficient": 1e9}),))
+    assert beside_others(law, [other_kind], None) is law  # which kind it is a search at all locations says
     partial = replace(law, verdict="partial")
     assert beside_others(partial, [elsewhere(law, more)], None) is partial
 

@@ -39,7 +39,7 @@ TOLERANCE = 0.01
 """Accuracy asked of the pseudo-modes, in units of the out-of-band part itself.
 
 Asked for more, they buy the last percent of the driven columns with shapes too large at undriven DOFs, where only their squares show: at
-0.003 the undriven columns are off by a quarter more, at 0.03 the driven ones by a third (benchmarks/README.md, "Driven pairs").
+0.003 errors between undriven DOFs are a third larger, at 0.03 those of driven columns (benchmarks/README.md, "Driven pairs").
 """
 
 MOST_TOLERANCE = 0.02

@@ -120,11 +120,8 @@ def conclude(
         loud = slice(0, len(last.fitted))
         within = is_allowed(*(Discrepancy.of(last, weighted[loud], e[loud]) for e in (errors, idle_errors)))
     verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)
-    if verdict == "no_misfit" and not (left := rows[0]["misfit"]) < GOOD:  # the level of the hold-out set alone fits
-        verdict, reason = (
-            "unexplained",
-            f"the runs of all levels keep a reduced chi-square of {left:.3g}, where less than {GOOD:g} is asked",
-        )
+    if verdict == "no_misfit":
+        verdict, reason = without_law(rows[0])
     picture = pictures_of(first, effects, accepted, notes)
     if off is not None and verdict in ("explained", "ambiguous") and validation[-1] >= GOOD:
         notes.append(
@@ -300,10 +297,10 @@ def beside_others(stands: RecordsDiagnosis, looks: Sequence[RecordsDiagnosis], g
     """
     if stands.verdict not in ("explained", "ambiguous") or len(stands.effects) != 1:
         return stands
-    best, known = stands.effects[0], {(e.kind, frozenset(e.location)) for e in (*stands.effects, *stands.ambiguous_with)}
-    bound = stands.found.log_score + np.log1p(ALIKE)
+    best, bound = stands.effects[0], stands.found.log_score + np.log1p(ALIKE)
+    known = {(e.kind, frozenset(e.location)) for e in stands.ambiguous_with}
     alike = {(e.kind, frozenset(e.location)): e for d in looks if d.nonlinear and d.found.log_score < bound for e in d.effects[:1]}
-    others = [effect for key, effect in alike.items() if key not in known]
+    others = [e for (kind, at), e in alike.items() if at != frozenset(best.location) and (kind, at) not in known]
     if not others:
         return stands
     far = any(e.kind != best.kind or not neighbours(best.location, e.location, geometry) for e in others)
