@@ -14,7 +14,7 @@ import pytest
 
 from operando.diagnosis import another_day, by_hand, diagnose, from_records, records_and_days
 from operando.diagnosis.from_records import standing
-from operando.diagnosis.records import Detection, FoundLaws, beside_others, steps
+from operando.diagnosis.records import Detection, FoundLaws, beside_others, diagnose_records, steps
 from operando.diagnosis.suspicion import DISTORTION, FAINT, LOUDEST, beyond_rest, suspicion, suspicion_at
 from operando.dof import Dof
 from operando.errors import DataError
@@ -442,15 +442,15 @@ def test_a_force_law_as_probable_on_a_day_of_its_own_stands_beside_the_one_that_
     assert beside_others(partial, [elsewhere(law, more)], None) is partial
 
 
-def test_records_of_which_the_quiet_level_alone_fits_are_not_without_misfit():
+@pytest.mark.parametrize(("left", "verdict"), [(6.5, "unexplained"), (1.4, "no_misfit")])
+def test_records_of_which_the_quiet_level_alone_fits_are_not_without_misfit(monkeypatch, left, verdict):
     """Saturating spring 10554: a day of the lower level took its spring, and left the higher one at 6.5."""
-    rows = {"misfit": 6.5, "heldout_misfit": 1.26}
     module = sys.modules["operando.diagnosis.records.conclude"]
-    assert module.without_law(rows) == (
-        "unexplained",
-        "the runs of all levels keep a reduced chi-square of 6.5, where less than 1.5 is asked",
-    )
-    assert module.without_law(rows | {"misfit": 1.4}) == ("no_misfit", None)
+    step_row = module.step_row
+    monkeypatch.setattr(module, "step_row", lambda *a: step_row(*a) | {"misfit": left})
+    made = diagnose_records(STRIP.idle(), records()["none"])
+    assert made.verdict == verdict
+    assert ("a reduced chi-square of 6.5, where less than 1.5 is asked" in (made.reason or "")) == (verdict == "unexplained")
 
 
 def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypatch):

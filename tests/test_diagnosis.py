@@ -57,6 +57,7 @@ from operando.diagnosis.search import (
 from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError
+from operando.report.words_diagnosis import diagnosis_words
 from operando.results import CheckRun
 from operando.threads import cores, limit
 
@@ -636,6 +637,10 @@ def test_nothing_missing_says_what_would_have_been_seen():
     seen = {(row["kind"], *row["location"]): row["value"] for row in document["detectable"]}
     assert 0 < seen["point_mass", "2+Z"] < 0.4  # the mass of the test above is found
     assert {"ground_spring", "coupling_damper", "gyroscopic"} <= {kind for kind, *_ in seen}
+    words = "A force that depends on the level counts with its mean spring and damper at the levels measured."
+    for level in (None, 3.0):
+        said = diagnosis_words(document | {"judged_on": (document["judged_on"] or {}) | {"level": level}}).sentences
+        assert any(words in sentence for sentence in said) == (level is not None)
 
 
 def test_a_model_without_scale_or_a_check_elsewhere_is_refused():

@@ -317,13 +317,17 @@ def test_a_flank_is_taken_for_no_mode_where_model_error_rules():
     assert not any("the lines: " in text for text in log.rounds)
 
 
-def test_a_pole_beyond_the_lines_that_no_drive_point_scales_is_no_shape():
-    # a mode at 90 Hz: products of a shape with no scale left 77 % of the measured FRFs
-    f, references = np.arange(12.0, 81.0, 0.1), (0, 2, 5)
-    _, h = frfs(references, f=f)
-    model = fit_ema(as_frf(h, references, f=f))
-    assert error_of(model, f, references, frfs(references, noise=0.0, f=f)[1]) < 0.01
+@pytest.mark.parametrize(("references", "top_hz"), [((0, 2), 76.0), ((1, 4), 79.0)])
+def test_a_pole_beyond_the_lines_that_no_drive_point_scales_is_no_shape(references, top_hz, monkeypatch):
+    """A mode at 90 Hz: with a shape of products that have no scale the FRFs are missed by 0.5 and 0.8 %."""
+    f = np.arange(12.0, top_hz, 0.1)
+    frf, true = as_frf(frfs(references, f=f)[1], references, f=f), frfs(references, noise=0.0, f=f)[1]
+    model = fit_ema(frf)
     assert np.allclose(model.frequencies_hz, HZ[:4], rtol=1e-4)
+    assert error_of(model, f, references, true) < 0.002
+    for room in ("answers", "handed_out"):
+        monkeypatch.setattr(f"operando.ema.{room}.without_shape", lambda fit, mass: np.zeros(fit.n_modes, bool))
+    assert error_of(fit_ema(frf), f, references, true) > 0.004
 
 
 def test_model_error_is_estimated():

@@ -177,7 +177,7 @@ def unfinished_finding(steps: int, reduced_chi_square: float) -> Finding:
         f"the maximum-likelihood fit of the idle modes ended after {steps} steps before its minimum (reduced chi-square "
         f"{reduced_chi_square:.3g})",
         "warning",
-        consequence="modes are a little off their most probable values, which their standard deviations do not hold",
+        consequence="modes may be off their most probable values by more than their standard deviations say",
         action='end the band between two modes, or take ema = "linear"',
     )
 

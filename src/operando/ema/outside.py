@@ -39,7 +39,7 @@ TOLERANCE = 0.01
 """Accuracy asked of the pseudo-modes, in units of the out-of-band part itself.
 
 Asked for more, they buy the last percent of the driven columns with shapes too large at undriven DOFs, where only their squares show: at
-0.003 errors between undriven DOFs are a third larger, at 0.03 those of driven columns (benchmarks/README.md, "Driven pairs").
+0.003 errors between undriven DOFs are a third larger, at 0.03 those of driven columns a quarter (benchmarks/README.md, "Driven pairs").
 """
 
 MOST_TOLERANCE = 0.02
@@ -146,7 +146,7 @@ def outside_modes(
     core = np.array(sorted(set(refs) | set(_most_telling(target, known, max_dofs))))
     at = {int(row): i for i, row in enumerate(core)}
     inner = float(np.clip(model_error, TOLERANCE, MOST_TOLERANCE))
-    for outer in (inner, max(inner, OUTER_TOLERANCE)):
+    for outer in (inner, OUTER_TOLERANCE):
         asked = np.where(f <= band[1], inner, outer)
         weight = 1 / np.sqrt((asked * scale) ** 2 + floor**2 + noise)
         psi_core, shift, cov_core = _nonlinear(target[:, core], known[:, core], np.array([at[r] for r in refs]), grid, weight, std)

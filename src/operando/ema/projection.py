@@ -280,7 +280,7 @@ def search_poles(
             foreseen, at_most = (float(2 * d @ pull - d @ now.normal @ d) for d in (step, free))
             if at_most < worth:
                 break  # even if all went as foreseen
-            if foreseen < worth:  # what was cut off held the rest: shorter, it is not
+            if foreseen < worth:  # cut off, it may foresee a rise; a shorter one is not cut off
                 damping = max(10 * damping, 1e-6)
                 continue
             zeta = np.clip(poles.zeta * np.exp(step[n:]), 1e-5, max_damping * 1.02)

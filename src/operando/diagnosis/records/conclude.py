@@ -57,13 +57,12 @@ NEIGHBOURS = 1.05
 def effect_of(case: RecordsCase, tried: Tried) -> Effect:
     """The law as an effect; a one-sided law towards the other side turns its place round."""
     law, place = tried.law, tried.spot.place
-    dofs = [case.idle.dofs[i] for i in place]
-    name = law.kind
+    dofs, name = case.located(place), law.kind
     if len(dofs) == 2 and name.startswith("ground_"):
         name = name.replace("ground_", "coupling_")
     if law.side < 0:
-        dofs = [d.opposite for d in dofs] if len(dofs) == 1 else dofs[::-1]
-    return Effect(name, tuple(dofs), dict(law.values), std_of(tried, case.day))
+        dofs = (dofs[0].opposite,) if len(dofs) == 1 else dofs[::-1]
+    return Effect(name, dofs, dict(law.values), std_of(tried, case.day))
 
 
 def candidate_row(case: RecordsCase, tried: Tried, base: float) -> dict[str, Any]:

@@ -146,7 +146,7 @@ def _diagnose(
             case = replace(case, places=(best.spot.place,))
         if say:
             say(f"{best.law.kind} accepted, look for more")
-    detection = replace(detect(first), location=tuple(str(first.idle.dofs[i]) for i in steps[0].place))
+    detection = replace(detect(first), location=tuple(map(str, first.located(steps[0].place))))
     return conclude(first, steps, accepted, more, detection, geometry)
 
 

@@ -30,8 +30,8 @@ class FoundLaws:
     log_score : float
         In nats a line: the less, the more probable are the records (:func:`operando.diagnosis.records.conclude.log_score`).
     locations : tuple of tuple of Dof
-        Where a force may act that is missing in the idle model: where any force law explains most, and the best two of those that have a
-        formula.
+        Where a force may act that is missing in the idle model: where any force law explains most, and where those that have a formula
+        leave least (:data:`operando.diagnosis.records.conclude.OF_THEIR_OWN_DAY`).
     model : Model or None
         The idle model with what these are equivalent to at the lowest level.
     """
