@@ -11,7 +11,7 @@ from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.diagnose import diagnose_records, measured_distortion
 from operando.diagnosis.records.fit_laws import fit_law, linear_law
-from operando.diagnosis.records.refine import refined, std_of, stepped
+from operando.diagnosis.records.refine import of_all_runs, own_values, refined, std_of, stepped
 from operando.diagnosis.records.result import FoundLaws, RecordsApplied, RecordsDiagnosis
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
 from operando.diagnosis.records.steps import SearchStep, Tried, settle_law
@@ -43,6 +43,8 @@ __all__ = [
     "loop_for",
     "make_case",
     "measured_distortion",
+    "of_all_runs",
+    "own_values",
     "parity",
     "rank_places",
     "recorded",

@@ -19,7 +19,7 @@ from operando.diagnosis.records.diagnose import wanted_kinds
 from operando.diagnosis.records.fit_laws import fit_law
 from operando.diagnosis.records.hold_out import judged_on, lines_of, step_row
 from operando.diagnosis.records.place import Weighted
-from operando.diagnosis.records.refine import refined, std_of
+from operando.diagnosis.records.refine import OF_ALL_RUNS, of_all_runs, refined, std_of
 from operando.diagnosis.records.result import RecordsApplied, linear_model
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
 from operando.diagnosis.records.steps import Tried, choose, search_step, settle_law, with_law
@@ -110,8 +110,9 @@ def apply_to_records(
         ]
         n, given = len(first.fitted), len(masses)
         left = [misfit(lines_of(weighted[:n], of_runs[:n])) or 0.0 for of_runs in errors]
+        final = [t if np.isnan(t.selection) else of_all_runs(t) for t in tried]  # values that stand were not selected
         stated: list[Effect] = []
-        for k, (effect, t) in enumerate(zip(effects, steps, strict=True)):
+        for k, (effect, t) in enumerate(zip(effects, final, strict=True)):
             std = {} if held[k] else std_of(t, day)
             stated.append(replace(effect, values={n: abs(v) for n, v in t.law.values.items()}, std=std))
             # The spot saw the records without the earlier effects already.
@@ -120,10 +121,11 @@ def apply_to_records(
                 refuse_failed(stated[-1], left[k], left[k + 1])
         better = tuple((given + k, other, chi) for k, other, chi in _better(first, rows[given:], steps, say))
         notes: list[str] = []
-        picture = pictures_of(first, stated, steps, notes)
+        picture = pictures_of(first, stated, final, notes)
         simulation = simulated(first, steps, notes)
-        same = ((),) * given + equivalents_of(first, stated, steps)
+        same = ((),) * given + equivalents_of(first, stated, final)
         every = (*masses, *stated)
+        notes += [OF_ALL_RUNS] if any(one is not other for one, other in zip(final, tried, strict=True)) else []
         words = (*_words(every, rows, better), *notes)
         return RecordsApplied(
             linear_model(idle, every, same, geometry),

@@ -16,7 +16,7 @@ from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.fit_laws import free_law
 from operando.diagnosis.records.hold_out import Discrepancy, judged_on, step_row, where_it_fails
 from operando.diagnosis.records.place import Weighted
-from operando.diagnosis.records.refine import std_of
+from operando.diagnosis.records.refine import OF_ALL_RUNS, of_all_runs, std_of
 from operando.diagnosis.records.result import Equivalents, FoundLaws, RecordsDiagnosis, linear_model
 from operando.diagnosis.records.run import running_mean
 from operando.diagnosis.records.steps import ALIKE, SearchStep, Tried, alike, nested
@@ -91,9 +91,10 @@ def conclude(
     """Verdict, errors by step and words; ``more``: why something may be missing still."""
     last = steps[-1].case
     notes: list[str] = []
-    found = [effect_of(first, t) for t in accepted]
+    every = [of_all_runs(t) for t in accepted]
+    found = [effect_of(first, t) for t in every]
     weak = next((k for k, e in enumerate(found) if not e.supported), len(found))
-    every, (effects, dropped, accepted) = accepted, (found[:weak], found[weak:], accepted[:weak])
+    effects, dropped, accepted = found[:weak], found[weak:], accepted[:weak]
     if dropped:
         more = f"{dropped[0].kind} at {dropped[0].place} is a candidate only: its 95 % interval holds zero"
     weighted = [Weighted.of(r) for r in last.runs]
@@ -121,7 +122,7 @@ def conclude(
     verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)
     if verdict == "no_misfit":
         verdict, reason = without_law(rows[0])
-    picture = pictures_of(first, effects, accepted, notes)
+    picture = pictures_of(first, effects, every[:weak], notes)
     if off is not None and verdict in ("explained", "ambiguous") and validation[-1] >= GOOD:
         notes.append(
             f"the validation lines are left at a reduced chi-square of {validation[-1]:.3g}; with a discrepancy of {100 * DISCREPANCY:g} % "
@@ -132,6 +133,7 @@ def conclude(
     if verdict not in ("explained", "ambiguous", "partial") and effects:
         dropped, effects, alternatives, rows, picture = [*effects, *dropped], [], [], rows[:1], {}
     accepted = accepted[: len(effects)]
+    notes += [OF_ALL_RUNS] if any(one is not other for one, other in zip(accepted, every, strict=False)) else []
     notes += too_fast(effects, accepted, len(first.fitted), rows[-1]["heldout_misfit"])
     if not first.validation:
         notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")

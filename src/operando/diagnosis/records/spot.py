@@ -137,9 +137,13 @@ def weighed(case: RecordsCase, place: tuple[int, ...]) -> RecordsCase:
             runs.append(run)
             continue
         rest = m.along.under(m.force).decayed() * np.sqrt(run.variance)
-        floor = NOISE_FLOOR**2 * np.mean(np.abs(run.responses[:, run.lines]) ** 2, axis=1, keepdims=True)
-        runs.append(replace(run, variance=run.own + smoothed_variance(rest, floor, max((q - 1) / q, 0.5))))
+        runs.append(replace(run, variance=run.own + smoothed_variance(rest, noise_floor(run), max((q - 1) / q, 0.5))))
     return case.with_runs(runs)
+
+
+def noise_floor(run: Run) -> Real:
+    """Least variance of each response of a run (q, 1)."""
+    return np.asarray(NOISE_FLOOR**2 * np.mean(np.abs(run.responses[:, run.lines]) ** 2, axis=1, keepdims=True))
 
 
 def smooth_size(force: Complex, width: int = 61) -> Real:
