@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from operando.diagnosis import another_day, by_hand, diagnose, from_records, records_and_days
+from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.from_records import standing
 from operando.diagnosis.records import Detection, FoundLaws, beside_others, diagnose_records, steps
 from operando.diagnosis.suspicion import DISTORTION, FAINT, LOUDEST, beyond_rest, suspicion, suspicion_at
@@ -364,27 +365,33 @@ def test_a_day_is_found_with_all_effects_at_once(monkeypatch):
     assert "point_mass at 5+Z" in refused.value.where
 
 
+class DayOf(tuple):
+    """A day by the words that tell it from others, of which nothing else is known."""
+
+    between, unexplained = (), float("inf")
+
+
 @pytest.mark.parametrize("another", [True, False])
 def test_where_frfs_of_another_day_lead_to_no_law_the_day_is_left_open(monkeypatch, another):
     """FRFs of a structure with dry friction give a day that stands for the friction (rotor 10332 of the benchmark)."""
     law = found("clearance")
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
-    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: "of FRFs" if another else None)
-    monkeypatch.setattr(records_and_days, "usual_day", lambda idle, between: ("left open", between))
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: DayOf(("of FRFs",)) if another else None)
+    monkeypatch.setattr(records_and_days, "usual_day", lambda idle, between: DayOf(("left open", between)))
     asked = []
 
     def looked(idle, records, day=None, **options):
         asked.append(day)
         now = law
-        return now if isinstance(day, tuple) else replace(now, verdict="unexplained", effects=(), equivalents=(), notes=())
+        return now if day and day[0] == "left open" else replace(now, verdict="unexplained", effects=(), equivalents=(), notes=())
 
     monkeypatch.setattr(records_and_days, "diagnose_records", looked)
     made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"], between={"damping": 0.2})
     assert asked[0] is None
     if another:  # beside nothing, at each location, again where a law was found, with all locations, and left open at last
         count = 3 + len(law.found.locations)
-        assert asked[1:] == ["of FRFs"] * count + [("left open", {"damping": 0.2})]
+        assert asked[1:] == [("of FRFs",)] * count + [("left open", {"damping": 0.2})]
     else:
         assert asked == [None]
     assert made.verdict == ("explained" if another else "unexplained")
@@ -396,7 +403,7 @@ def test_a_day_that_hides_a_law_is_found_again_beside_spring_and_damper_where_it
     law = found("clearance")
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
-    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
+    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: DayOf(map(str, effects)))
     asked = []
     assert law.detection.location == ("5+Z",)
 
@@ -458,7 +465,7 @@ def test_such_a_day_is_found_beside_each_location_where_a_force_may_act(monkeypa
     law, there = found("clearance"), (Dof.parse("5+Z"),)
     monkeypatch.setattr(from_records, "with_days", lambda seen, *rest, **options: seen)
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
-    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: tuple(map(str, effects)))
+    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: DayOf(map(str, effects)))
     assert law.found.locations[0] == there
     worse = replace(law.found, log_score=law.found.log_score + 0.1)
 
@@ -518,6 +525,9 @@ def test_linear_effects_do_not_explain_what_depends_on_the_level(monkeypatch, ti
     assert (verdict == "explained") == (made.reason is None)
 
 
+A_DAY = SimpleNamespace(between=({"what": "stiffness"},), unexplained=0.9 * EXPLAINED)
+
+
 @pytest.mark.parametrize(("verdict", "again"), [("no_misfit", False), ("unexplained", True)])
 def test_where_a_day_explains_all_levels_no_force_law_is_looked_for(monkeypatch, verdict, again):
     """A mass of 8 kg stood in the day of one level and in all levels (frame 10452: 113 s of computing, half of it for nothing)."""
@@ -527,7 +537,7 @@ def test_where_a_day_explains_all_levels_no_force_law_is_looked_for(monkeypatch,
     monkeypatch.setattr(
         records_and_days.RecordsAndDays, "diagnosis", lambda self, day=None: replace(looked, verdict=verdict if day else "unexplained")
     )
-    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: days.append(tuple(effects)) or "a day")
+    monkeypatch.setattr(records_and_days, "day_of", lambda idle, effects, *a, **k: days.append(tuple(effects)) or A_DAY)
     from_records.diagnose_levels(lambda: linear, STRIP.idle(), frfs("spring"), records()["spring"])
     assert (len(days) > 1) == again
 
@@ -571,12 +581,12 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
 
     def day_of(idle, effects, run, progress, **options):
         asked.append((list(effects), run.force_n))
-        return "the day"
+        return A_DAY
 
     def looked(idle, records, day=None, **options):
         if day is None:
             return replace(now, verdict="partial", found=replace(law, log_score=0.5), notes=())
-        assert day == "the day"
+        assert day is A_DAY
         effects = now.effects if score is not None else ()
         return replace(now, verdict=verdict, effects=effects, found=replace(law, log_score=score or 0.5), notes=())
 
@@ -588,6 +598,21 @@ def test_records_are_held_against_another_day_while_that_says_more(monkeypatch, 
     assert {force for _, force in asked} == {min(run.force_n for run in frfs("clearance"))}
     assert [[e.kind for e in effects] for effects, _ in asked] == [[], ["ground_spring"], ["ground_spring"]]
     assert asked[1][0] == asked[2][0] == [mean]
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.9, True), (1.1, False)])
+def test_what_differs_is_what_the_day_differs_in_that_the_records_are_held_against(monkeypatch, share, known):
+    """It was asked of the FRFs of the highest level once more, which a clearance left unexplained (frame 10553); by ``EXPLAINED``."""
+    now = found("clearance")
+    day = SimpleNamespace(between=({"what": "stiffness"},), unexplained=share * EXPLAINED)
+    monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: day)
+    monkeypatch.setattr(
+        records_and_days, "diagnose_records", lambda *a, day=None, **k: replace(now, verdict="explained" if day else "partial")
+    )
+    monkeypatch.setattr(from_records, "merged", lambda seen, *rest: seen)
+    monkeypatch.setattr(from_records, "between_beside", lambda *a, **k: ((), 0.0))
+    made = from_records.diagnose_levels(None, STRIP.idle(), frfs("clearance"), ["run"])
+    assert made.between == (day.between if known else ())
 
 
 @pytest.mark.parametrize("measured", [True, False])

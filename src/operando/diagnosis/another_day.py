@@ -133,6 +133,8 @@ class _Bare:
             float(np.sqrt(np.mean(force_std**2))) if force_std.size else 0.0,
             self.springs(),
             self.accelerance,
+            tuple(between_rows(self.state)),
+            float(self.state.alpha),
         )
 
     def uncoupled(self, moved: Moved) -> tuple[Array, Array, Array]:

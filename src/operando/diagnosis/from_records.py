@@ -160,7 +160,7 @@ def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun
 
     Gains of sensors and forces are no unknowns of the fit to records. The FRFs of one level are those of the idle model with linear effects
     and the mean springs and dampers of that level: with these they are fitted again, beginning at the highest level, up to the first one
-    that they explain.
+    that they explain. Records that were held against another day have it from the FRFs of that day already.
 
     ``options`` are of :func:`operando.diagnosis.another_day.between_beside`.
     """
@@ -168,6 +168,8 @@ def with_days(seen: RecordsDiagnosis, idle: ModalModel, check: Sequence[CheckRun
     def unknown(why: str) -> RecordsDiagnosis:
         return replace(seen, notes=(*seen.notes, f"what differs between the two measurements is not known: {why}"))
 
+    if seen.between is not None:
+        return seen
     if not check:
         return unknown("it is estimated from FRFs of the validation measurement, and there are none")
     left = []

@@ -12,6 +12,7 @@ from operando.compare.verdict import SURE
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, one_level
 from operando.diagnosis.another_day import day_of, usual_day
 from operando.diagnosis.arguments import chosen_run
+from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.records import Day, FoundLaws, RecordsApplied, RecordsDiagnosis, beside_others, diagnose_records
 from operando.dof import Dof, DofIndex
 from operando.errors import OperandoError
@@ -80,7 +81,8 @@ class RecordsAndDays:
         def on(day: Day, words: str, **wanted: Any) -> RecordsDiagnosis:
             self.say(f"look at the records with what differs between the days by {run.name}")
             other = replace(self, wanted=dict(self.wanted) | wanted).diagnosis(day)
-            return replace(other, notes=(*other.notes, words.format(run=run.name)))
+            known = day.between if day.unexplained <= EXPLAINED else None
+            return replace(other, between=known, notes=(*other.notes, words.format(run=run.name)))
 
         def beside(linear: Sequence[Effect], measured: CheckRun = run) -> Day | None:
             return day_of(self.idle, linear, measured, self.progress, **self.of_frfs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,10 @@ class Day:
         FRFs know the one with the other: as far as these go the day may be another one, with another spring there.
     seen : callable
         Accelerances without these gains; None where no FRF shows one of them.
+    between : tuple of dict
+        All that differs, as ``between`` of ``diagnosis.json``.
+    unexplained : float
+        Share of the FRFs that stays unexplained.
     """
 
     idle: ModalModel
@@ -59,6 +64,8 @@ class Day:
     force_std: float
     springs: dict[tuple[int, ...], tuple[float, float]]
     seen: Seen
+    between: tuple[dict[str, Any], ...] = ()
+    unexplained: float = float("inf")
 
     def corrected(self, record: TimeRecord) -> TimeRecord:
         """A record without the gains of its channels."""
