@@ -230,18 +230,20 @@ def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, 
 
 
 @pytest.mark.parametrize(
-    ("of_laws", "left", "free", "tried"),
+    ("of_laws", "left", "free", "at_first", "tried"),
     [
-        ((3,), 20.0, 1.0, True),
-        ((1, 3), 20.0, 1.0, True),
-        ((1, 3), 1.1 * steps.FLOOR * 0.3, 0.3, True),
-        ((1, 3), 0.9 * steps.FLOOR * 0.3, 0.3, False),
+        ((3,), 20.0, 1.0, 1.0, True),
+        ((1, 3), 20.0, 1.0, 1.0, True),
+        ((1, 3), 1.1 * steps.FLOOR * 0.3, 0.3, 1.0, True),
+        ((1, 3), 0.9 * steps.FLOOR * 0.3, 0.3, 1.0, False),
+        ((1, 3), 381.0, 0.9, 0.9 * 381.0 / steps.NEARLY, True),
+        ((1, 3), 381.0, 0.9, 1.1 * 381.0 / steps.NEARLY, False),
     ],
 )
-def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws, left, free, tried):
+def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws, left, free, at_first, tried):
     """Any force explains most between two DOFs, the best law of one displacement is at the second: what remembers is tried at both.
 
-    By ``FLOOR``, where any force leaves less than noise as well.
+    By ``FLOOR``, where any force leaves less than noise as well, and by ``NEARLY`` of what there was.
     """
     spots = {place: SimpleNamespace(place=place, free=free, fit=[], select=[], validation=[]) for place in ((1, 3), (3,))}
     laws, walked = {}, []
@@ -265,7 +267,7 @@ def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws,
     for name, stub in (("fit_law", fit_law), ("settle_law", settle_law), ("roughly", roughly)):
         monkeypatch.setattr(steps, name, stub)
     case = SimpleNamespace(places=((1, 3), (3,)))
-    made = steps.search_step(case, ("cubic_stiffness", "hysteresis"), None, 1.0)
+    made = steps.search_step(case, ("cubic_stiffness", "hysteresis"), None, at_first)
     assert set(walked) == ({(1, 3), of_laws} if tried else set())
     assert len(walked) == len(set(walked))
     assert (made.tried[0].law.kind == "hysteresis") == tried

@@ -776,6 +776,20 @@ def test_a_damper_within_four_spreads_of_a_joint_is_told_as_a_difference_of_days
     assert score(state) == -np.inf
 
 
+def test_a_damper_that_damps_a_mode_beside_the_band_most_is_no_joint():
+    """It took a mode 3 Hz above the band from 0.4 to 2.9 %, those in band by a fifth at most, and counted as a joint (frame 10613)."""
+    days = case()
+    w, zeta, phi, _ = modes()
+    change = phi[1] ** 2 / (2 * zeta * w)
+    most = int(np.argmax(change))
+    damper = Term("ground_damper", (1,), (float(np.log(1.1 * UNUSUAL * SPREADS["damping_local"] / change[most])),))
+    beside = w[most] / 2 / np.pi
+    narrow = copy.copy(days)
+    narrow.band = (days.band[0], 0.99 * beside) if beside > np.mean(days.band) else (1.01 * beside, days.band[1])
+    assert not no_more_than_days(days, damper)
+    assert not no_more_than_days(narrow, damper)
+
+
 def test_values_out_of_the_range_of_a_kind_are_told_by_a_simpler_one():
     far = Term("tuned_absorber", (1,), (float(np.log(0.4)), float(np.log(20 * BAND[1])), float(np.log(0.02))))
     near = far.moved((far.values[0], float(np.log(30.0)), far.values[2]))

@@ -16,9 +16,10 @@ def no_more_than_days(case: Case, term: Term, d: NDArray[Any] | None = None) -> 
     """Whether an effect is what a joint that loses more, or less, on another day is: told as a difference of days, and no effect.
 
     Where days differ, one joint may lose more than the others, and a normal law of all joints has no place for it: a damper there is
-    the more probable the less the others differ. It counts as a difference of days while it changes the damping of no mode in band by
-    more than four standard deviations of what a joint does, and frequencies by less of theirs, one at most. What couples two directions
-    without reciprocity, as a rotor does, is nothing a joint does, and at first order it changes no mode: it is an effect at any size.
+    the more probable the less the others differ. It counts as a difference of days while it changes the damping of no mode, in band or near
+    it, by more than four standard deviations of what a joint does, and frequencies by less of theirs, one at most. What couples two
+    directions without reciprocity, as a rotor does, is nothing a joint does, and at first order it changes no mode: it is an effect at
+    any size. A damper changed a mode of 133 Hz most, 3 Hz above the band, from 0.4 to 2.9 % (frame 10613).
 
     What days take back of the damping of a mode is no change of it: where a damper is undone mode by mode it stands for damping that
     ties modes to each other, of which days differ by more now and then than a normal law has it.
@@ -29,7 +30,7 @@ def no_more_than_days(case: Case, term: Term, d: NDArray[Any] | None = None) -> 
     spreads, idle = case.between.spreads, case.idle
     if not (term.structural and term.definition.symmetric and spreads.get("damping_local") and spreads.get("mode")):
         return False
-    modes = [r for r in idle.modes if case.band[0] < idle.f[r] < case.band[1] and r != idle.lacking]
+    modes = [r for r in idle.modes if r != idle.lacking]
     w = 2 * np.pi * idle.f[modes]
     phi = idle.phi[np.ix_(list(term.places), modes)]
     with np.errstate(all="ignore"):
