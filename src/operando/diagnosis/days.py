@@ -69,6 +69,11 @@ def no_other_day(state: State) -> bool:
     return unlike_days(state) or untouched(state)
 
 
+def remounted(state: State) -> bool:
+    """Whether more than one channel has changed: then something was touched."""
+    return sum(t.definition.acts == "sensor_map" for t in state.terms) > 1
+
+
 def promotions(state: State, beyond: float = PROMOTED) -> list[Point]:
     """The effects of whose name a difference between the days far beyond its spread is, in its place."""
     case, x = state.case, state.x

@@ -10,7 +10,7 @@ import numpy as np
 from operando.data import Geometry
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import AS_AT_REST, EARNED, LEAST_DISCREPANCY, LOOSE, PROMOTED
-from operando.diagnosis.days import promotions, untouched
+from operando.diagnosis.days import promotions, remounted, untouched
 from operando.diagnosis.found import Found
 from operando.diagnosis.free_law import of_a_kind, with_free_law
 from operando.diagnosis.idle import Idle
@@ -19,7 +19,7 @@ from operando.diagnosis.midway import between_sensors, with_midway
 from operando.diagnosis.posterior import State, fit, leaves_noise, names
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, robust_cost, robust_scan
-from operando.diagnosis.search import DEPTH, WAYS, remounted, search
+from operando.diagnosis.search import DEPTH, WAYS, search
 from operando.diagnosis.sizes import with_likely_sizes
 from operando.diagnosis.suggested import begun_with
 from operando.diagnosis.terms import Term

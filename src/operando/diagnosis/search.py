@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from operando.diagnosis.case import Case
 from operando.diagnosis.contained import contained, turned_into
 from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE
-from operando.diagnosis.days import no_other_day, promotions, strained
+from operando.diagnosis.days import no_other_day, promotions, remounted, strained
 from operando.diagnosis.forward import Point
 from operando.diagnosis.found import Found, Key
 from operando.diagnosis.joints import no_more_than_days
@@ -93,11 +93,6 @@ def search(
         return found
     say("with the spreads of what differs estimated:")
     return Search(case, say, found, own_spreads=True, depth=max(1, depth - len(best.terms))).run()
-
-
-def remounted(state: State) -> bool:
-    """Whether more than one channel has changed: then something was touched."""
-    return sum(t.definition.acts == "sensor_map" for t in state.terms) > 1
 
 
 @dataclass(frozen=True)
@@ -209,6 +204,8 @@ class Search:
         if self.start is None and self.depth and self.best() is not empty and self.best().alpha > LOOSE:
             empty.robustly = True  # what something else suggested explains little: beside it what the lines themselves say
             self._robust_stage(empty)
+        if self.also and self.best().terms:  # about what was suggested nothing is scanned but further effects
+            self.fitted(self._also())
         most = len(self.best().terms) + self.depth  # with more effects, what else may explain the lines comes before further ones
         for _ in range(self.depth):
             if not self._step(most):
@@ -375,8 +372,7 @@ class Search:
             rows = [row for row in tested if row.evidence > none - short] or ([] if state.terms else tested[:1])
             rows = [row for row in rows if self.once([*state.terms, row.term])]
             starts = [Start(state.carried([*state.terms, row.term], row.start), state.alpha, state.case) for row in rows]
-            more = [] if state.terms else [term for term in self.also if self.once([term])]
-            ended = self.fitted([*starts, *(Start(started(state.case, (term,)), 0.03, state.case) for term in more)])[: len(rows)]
+            ended = self.fitted([*starts, *([] if state.terms else self._also())])[: len(rows)]
             if explained and self.own_spreads:
                 self._bounded_beside(state, [(row.term, after) for row, after in zip(rows, ended, strict=True) if after is not None])
             best = self.best().log_evidence + (EARNED if explained else -_SHORT)
@@ -387,6 +383,10 @@ class Search:
                 if hoped > best and (after is None or after.log_evidence < hoped - _SHORT)
             ]
             self._approached(state, lost)
+
+    def _also(self) -> list[Start]:
+        """Where the first effects that were asked for begin, each once."""
+        return [Start(started(self.case, (term,)), 0.03, self.case) for term in self.also if self.once([term])]
 
     def nearest(self, case: Case, starts: Sequence[Point]) -> list[Point]:
         """The neighbourhoods of some starts, the nearest first; these are fitted."""
