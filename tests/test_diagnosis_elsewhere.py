@@ -461,6 +461,38 @@ def test_between_sensors_one_step_is_made_where_no_laboratory_has_such_days(monk
     assert asked == [("days", depth, [not no_laboratory, True, not no_laboratory])]
 
 
+@pytest.mark.parametrize(
+    ("met", "ends", "like", "taken"), [(2.0, 3.0, None, True), (2.0, 3.0, "days", True), (2.0, 0.5, None, False), (0.5, 3.0, None, False)]
+)
+def test_what_is_met_at_sensors_on_the_way_is_searched_from_there(monkeypatch, met, ends, like, taken):
+    """An absorber at a sensor was 230 nats better than what had been found, and was left (frame 10629)."""
+
+    def state(place, log_evidence):
+        case = SimpleNamespace(uncompressed=SimpleNamespace(midway={}), like=like)
+        term = Term("point_mass", (place,), (0.0,))
+        return SimpleNamespace(terms=(term,), key=(term.key,), alpha=0.0, case=case, log_evidence=log_evidence)
+
+    found, better, asked = Found(state(1, 1.0), state(1, 1.0), {}, odds=-1000.0), state(2, met), []
+    wider = [SimpleNamespace(name="wider", idle=SimpleNamespace(midway={9: (0.5, 0.0, 0.0)}))] * 2
+    monkeypatch.setattr(elsewhere, "cases_between_sensors", lambda *args: wider)
+
+    def search(case, say, also=(), **how):
+        if case.name == "wider":
+            return Found(better, better, {})
+        asked.append((case.name, also))
+        return Found(state(2, ends), state(1, 1.0), {})
+
+    monkeypatch.setattr(elsewhere, "search", search)
+    monkeypatch.setattr(elsewhere, "no_other_day", lambda best: False)
+    monkeypatch.setattr(elsewhere, "with_likely_sizes", lambda found, say: found)
+    monkeypatch.setattr(elsewhere, "score", lambda state: state.log_evidence)
+    sensors = [SimpleNamespace(name=name) for name in ("days", "one set-up")]
+    got = search_between_sensors(found, lambda idle: sensors, object(), lambda text: None, 2)
+    assert (got is not found) == taken
+    assert asked == ([("one set-up" if like else "days", better.terms)] if met > 1.0 else [])
+    assert got.odds == found.odds
+
+
 def test_a_mode_is_held_against_a_state_with_its_spreads_estimated_as_that_was():
     """An absorber with spreads estimated has more evidence than the mode without, and less than with them (frame 10128, two days)."""
     mass, stiff = matrices()
