@@ -242,3 +242,16 @@ def test_parameters_know_their_scale():
         h = 1e-6
         slope = (signed.outward(signed.inward(v) + h) - signed.outward(signed.inward(v) - h)) / (2 * h)
         assert signed.slope(v) == pytest.approx(slope, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("clearance@3+Z=stiffness:5e5,gap:7.593e-6", "below 7.6 µm: the effect must vanish"),
+        ("one_sided_contact@3+Z=stiffness:5e5,gap:1.2e-4", "away by 0.12 mm"),
+        ("saturating_spring@3+Z=stiffness:5e5,knee:7.4e-7", "well below 0.74 µm"),
+        ("hysteresis@3+Z=stiffness:5e5,yield_force:0.25,exponent:2,ratio:0.1", "close at 250 mN"),
+    ],
+)
+def test_sizes_in_the_test_that_would_confirm_an_effect_have_units_as_written(text, words):
+    assert words in parse_effect(text).confirm

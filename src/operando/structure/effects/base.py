@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import ModalModel, check_fields
 from operando.errors import ConfigError
+from operando.units import engineering_unit
 
 Array = NDArray[Any]
 Values = Mapping[str, Any]
@@ -167,7 +168,8 @@ class EffectKind:
     removable : bool
         Whether the opposite (a mass taken away, a spring that is missing) makes sense.
     says, says_removed, confirms : str
-        Sentences with ``{location}`` and ``{size}`` (``confirms``: ``{location}`` and ``{values[name]}``); plain ones where left out.
+        Sentences with ``{location}`` and ``{size}`` (``confirms``: ``{location}``, ``{values[name]}`` and, with its unit,
+        ``{sizes[name]}``); plain ones where left out.
 
     Examples
     --------
@@ -251,7 +253,12 @@ class EffectKind:
 
     def confirm(self, place: str, values: Values) -> str:
         """The test that would confirm it."""
-        return self.confirms.format(location=place, values=values)
+        sizes = {}
+        for p in self.parameters:
+            if isinstance(value := values.get(p.name), (int, float)):
+                factor, unit = engineering_unit(abs(value), p.unit)
+                sizes[p.name] = f"{float(f'{value / factor:.2g}'):g} {unit}".strip()
+        return self.confirms.format(location=place, values=values, sizes=sizes)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ class Hysteresis(NonlinearKind):
 
     kind = "hysteresis"
     plain = "a spring that slips and dissipates (hysteresis)"
-    confirms = "push {location} slowly to and fro and record force over deflection: the loop must close at {values[yield_force]:.2g} N"
+    confirms = "push {location} slowly to and fro and record force over deflection: the loop must close at {sizes[yield_force]}"
     parameters = (
         Parameter("stiffness", "N/m", 1e-2, 1e13, "log", 1e5, "stiffness before it slips"),
         Parameter("yield_force", "N", 1e-9, 1e9, "log", 1.0, "yield force"),

@@ -75,7 +75,7 @@ class Clearance(NonlinearKind):
     kind = "clearance"
     plain = "a stop with play on both sides"
     confirms = (
-        "measure with deflections at {location} below {values[gap]:.2g} m: the effect must vanish; then shim the play and measure "
+        "measure with deflections at {location} below {sizes[gap]}: the effect must vanish; then shim the play and measure "
         "again: a plain spring must be left"
     )
     parameters = (STIFFNESS, GAP)
@@ -91,7 +91,7 @@ class OneSidedContact(NonlinearKind):
 
     kind = "one_sided_contact"
     plain = "a stop on one side"
-    confirms = "move the stop at {location} away by {values[gap]:.2g} m and measure again: the contact must come later or vanish"
+    confirms = "move the stop at {location} away by {sizes[gap]} and measure again: the contact must come later or vanish"
     parameters = (STIFFNESS, GAP)
     shape_names = ("gap",)
     odd = False
@@ -123,7 +123,7 @@ class SaturatingSpring(NonlinearKind):
 
     kind = "saturating_spring"
     plain = "a spring that yields to large deflections"
-    confirms = "measure with deflections at {location} well below {values[knee]:.2g} m: a plain spring must be left"
+    confirms = "measure with deflections at {location} well below {sizes[knee]}: a plain spring must be left"
     parameters = (STIFFNESS, KNEE)
     shape_names = ("knee",)
     contains = ("ground_spring", "coupling_spring")
