@@ -212,6 +212,8 @@ def test_the_practice_case_with_a_clearance_from_raw_files(tmp_path):
 @pytest.mark.parametrize(("left", "levels", "verdict"), [(0.8, False, "explained"), (0.8, True, "partial")])
 def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, left, levels, verdict):
     """Where the records show nothing that depends on the level, what the linear effect leaves decides."""
+    linear = found("spring")  # before anything is patched: it is made once for all tests
+    assert linear.verdict == "explained"
     said = "runs of different level disagree" if levels else "the responses hold more than at rest"
     monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: said)
     monkeypatch.setattr(from_records, "levels_disagree", lambda check: levels)
@@ -221,8 +223,6 @@ def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, 
         lambda *a, **k: SimpleNamespace(nonlinear=(), effects=(), equivalents=(), verdict="unexplained"),
     )
     monkeypatch.setattr(records_and_days, "day_of", lambda *a, **k: None)
-    linear = found("spring")
-    assert linear.verdict == "explained"
     ladder = (*linear.ladder[:-1], {**linear.ladder[-1], "heldout_misfit": left})
     made = from_records.diagnose_levels(lambda: replace(linear, ladder=ladder), STRIP.idle(), frfs("spring"), records()["spring"])
     assert made.verdict == verdict

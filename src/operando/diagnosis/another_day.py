@@ -40,7 +40,8 @@ def day_of(
     with one_blas_thread():
         state = _beside(idle, effects, run, progress, may_strain=True, **options)
         bare = _Bare(state, replace(state.x, u=np.zeros(0), terms=()))
-        return bare.day(idle, spreads_of(options["between"] or {})) if between_rows(state) else None
+        differs = tuple(between_rows(state))
+        return bare.day(idle, spreads_of(options["between"] or {}), differs) if differs else None
 
 
 def between_beside(
@@ -92,8 +93,9 @@ class _Bare:
     state: State
     x: Point
 
-    def day(self, idle: ModalModel, spread: Mapping[str, float]) -> Day | None:
-        """The idle model on that day; None where it has other terms or DOFs, or residual terms that do not vibrate: no day makes those.
+    def day(self, idle: ModalModel, spread: Mapping[str, float], differs: tuple[dict[str, Any], ...]) -> Day | None:
+        """The idle model on that day, which ``differs`` by so much; None where it has other terms or DOFs, or residual terms that do not
+        vibrate: no day makes those.
 
         A law is another spring and damper under each force, and the FRFs are fitted with one for all: each record finds the modes again, by
         what days differ in. With what the FRFs alone leave open hysteresis was lost or took what the day was taken to differ in (rotor
@@ -133,7 +135,7 @@ class _Bare:
             float(np.sqrt(np.mean(force_std**2))) if force_std.size else 0.0,
             self.springs(),
             self.accelerance,
-            tuple(between_rows(self.state)),
+            differs,
             float(self.state.alpha),
         )
 

@@ -6,11 +6,12 @@ Beside what :mod:`operando.diagnosis` names, the parts that the search is made o
 from operando.diagnosis.records.apply import apply_to_records
 from operando.diagnosis.records.case import RecordsCase, Sets, contradicted, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force, followed, groups, loop_for, recorded
-from operando.diagnosis.records.conclude import DISCREPANCY, beside_others, conclude, too_fast
+from operando.diagnosis.records.conclude import beside_others, conclude, too_fast
 from operando.diagnosis.records.day import Day
 from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.diagnose import diagnose_records, measured_distortion
 from operando.diagnosis.records.fit_laws import fit_law, linear_law
+from operando.diagnosis.records.hold_out import DISCREPANCY
 from operando.diagnosis.records.refine import of_all_runs, own_values, refined, std_of, stepped
 from operando.diagnosis.records.result import FoundLaws, RecordsApplied, RecordsDiagnosis
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed

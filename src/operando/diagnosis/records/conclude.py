@@ -14,7 +14,7 @@ from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.closed_loop import against_records
 from operando.diagnosis.records.detect import Detection
 from operando.diagnosis.records.fit_laws import free_law
-from operando.diagnosis.records.hold_out import Discrepancy, judged_on, step_row, where_it_fails
+from operando.diagnosis.records.hold_out import DISCREPANCY, Discrepancy, judged_on, step_row, where_it_fails
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.refine import OF_ALL_RUNS, of_all_runs, std_of
 from operando.diagnosis.records.result import Equivalents, FoundLaws, RecordsDiagnosis, linear_model
@@ -31,10 +31,6 @@ GOOD_LAW = 0.5
 
 TWICE = 2.0
 """Reduced chi-square of the hold-out set, 3 dB above the floor, from which it is asked where the rest comes from."""
-
-DISCREPANCY = 0.03
-"""Part of the responses by which a law may be off (contract, ``explained``): forces follow from a motion whose errors no covariance
-carries, those of contacts above all."""
 
 SEEN_PART, SHARE = 0.8, 0.25
 """Motion above this part of the recorded band is left out; the records are too slow if that changes the misfit by this share of what

@@ -20,6 +20,10 @@ from operando.indicators import INTERVAL
 from operando.structure.effects import Effect
 from operando.structure.modal_space import Complex, Real
 
+DISCREPANCY = 0.03
+"""Part of the responses by which a law may be off (contract, ``explained``): forces follow from a motion whose errors no covariance
+carries, those of contacts above all."""
+
 _ALIKE = 2.0  # widths over which FRFs change, in one stretch of frequency: what neighbours share is seen, and most bands have twenty
 
 

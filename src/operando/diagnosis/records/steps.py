@@ -9,6 +9,7 @@ import numpy as np
 
 from operando.diagnosis.records.case import RecordsCase, Sets
 from operando.diagnosis.records.fit_laws import fit_law, law_cost, linear_law, misfit
+from operando.diagnosis.records.hold_out import DISCREPANCY
 from operando.diagnosis.records.motion import Motion
 from operando.diagnosis.records.out_of_band import OutOfBand, force_columns, look
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
@@ -29,7 +30,7 @@ ROUGH_ROUNDS = 1
 TURNS, FIRST_TURNS, STILL_OPEN = 6, 2, 2.0
 """Turns in which law and motion are brought together; turns for all finalists, and how far from the best one is worth the others."""
 
-FLOOR, NEARLY = 1.2, 9e-4
+FLOOR, NEARLY = 1.2, DISCREPANCY**2
 """Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do, or leaves no
 more of what there was than the discrepancy that is allowed, 3 % of the responses (contract, ``explained``). With three times as much a
 spring of 1.94, where any force leaves 0.96, hid a hysteresis that leaves 1.53 (rotor 10397); with 0.01 of what there was one was not tried
