@@ -10,11 +10,13 @@ from scipy.signal import cont2discrete
 
 from operando.data import Channel, StoredFile, StoredRow, TimeRecord, force_rms, mapped_rows
 from operando.dof import Dof
+from operando.ema import fit_ema
 from operando.errors import DataError
 from operando.frf import cross_spectra, effective_averages, estimate_frf, local_rational, merge_runs, reciprocity_error
 from operando.frf.estimators import estimate
 from operando.frf.hits import LEAST_BLOCK
 from operando.frf.inputs import run_input
+from operando.frf.leakage import HANN_DAMPING
 from operando.frf.rational import spectrum_lines
 from operando.frf.wholerecord import rational_run
 from operando.io import read
@@ -264,12 +266,29 @@ def test_lrm_beats_hann_on_a_short_lightly_damped_record_and_is_chosen():
         frf = estimate_frf(record, estimator=estimator, band=(10, 160))
         errors[estimator] = relative(frf.data, sampled_accelerance(chain, frf.frequencies_hz, FS, range(6), [0]))
     assert errors["lrm"] < 0.05 * errors["h1"]
+    asked = estimate_frf(record, estimator="h1", band=(10, 160))
+    assert any(f.kind == "leakage" and f.severity == "warning" and "lines wide" in f.message for f in asked.findings)
     auto = estimate_frf(record, band=(10, 160))
+    assert not any(f.kind == "leakage" for f in auto.findings)
+    assert not any(f.kind == "leakage" for f in estimate_frf(record, estimator="h1", window="rectangular", band=(10, 160)).findings)
     assert "lrm" in auto.provenance.calls[-1]
     reason = next(item for item in auto.findings if item.kind == "estimator")
     assert "lines wide" in reason.message
     sharpest = 2 * 0.002 * chain.hz[0]
     assert auto.axis.step <= max(sharpest / 5, FS / 16384) * 1.001
+
+
+def test_damping_read_from_hann_averages_is_too_large_by_what_the_finding_says():
+    """HANN_DAMPING: a share over the lines a peak is wide, here three to seven."""
+    chain = Chain(3, zeta=0.01, seed=2)
+    f, x = simulate(chain, 512.0, 60 * 2048, [1], np.random.default_rng(1))
+    frf = estimate_frf(make_record(f, x, 512.0, [1]), estimator="h1", block_seconds=4.0)
+    model = fit_ema(frf, band=(20, 250))
+    lines = 2 * chain.zeta * chain.hz / frf.axis.step
+    share = (model.damping_ratios[model.in_band] / chain.zeta - 1) * lines
+    assert np.all((share > HANN_DAMPING / 3) & (share < 3 * HANN_DAMPING))
+    stated = next(item for item in frf.findings if item.kind == "leakage").consequence
+    assert float(stated.split(" some ")[1].split(" %")[0]) == pytest.approx(100 * HANN_DAMPING / lines.min(), rel=0.2)
 
 
 def test_averaging_is_chosen_for_a_long_well_damped_record():

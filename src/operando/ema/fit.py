@@ -28,6 +28,7 @@ from operando.ema.findings import (
     turned_finding,
     unfinished_finding,
 )
+from operando.ema.frf_noise import frf_noise
 from operando.ema.handed_out import left_of
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
 from operando.ema.order import UnseenModesError
@@ -282,7 +283,7 @@ def _polished(
 ) -> tuple[_Outcome | None, str]:
     """The maximum-likelihood answer, or None and why it is not taken: too much work, or worse on unused lines than the linear stage."""
     if not runs:
-        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None)
+        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None, noise=frf_noise(pairs, fit))
     first = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > POLISH_SUPPORT]
     hz, zeta = _distinct(first) if first else (fit.poles.hz, fit.poles.zeta)
     work = polish_work(runs, len(job.dofs), hz.size)

@@ -36,7 +36,7 @@ def relative_model_error(runs: Sequence[RunSpectra], theta: Parameters) -> float
     for i, run in enumerate(runs):
         state = residual(run, theta, i)
         error.append(power_of(state.error).ravel())
-        variance.append(state.variance.ravel())
+        variance.append((state.variance / run.correlated_lines).ravel())
         power.append(contributions(run, theta, i).ravel())
     e, v, p = np.concatenate(error), np.concatenate(variance), np.concatenate(power)
     # Medians: a mode still missing from the candidates is no reason to distrust the rest.
@@ -57,4 +57,7 @@ def with_model_error(runs: Sequence[RunSpectra], theta: Parameters, share: float
     """Runs whose response variance holds a share of what the modes of ``theta`` add (``theta`` fitted on other lines of these runs)."""
     if share <= 0:
         return list(runs)
-    return [replace(run, response_variance=run.response_variance + share**2 * contributions(run, theta, i)) for i, run in enumerate(runs)]
+    return [
+        replace(run, response_variance=run.response_variance + share**2 * run.correlated_lines * contributions(run, theta, i))
+        for i, run in enumerate(runs)
+    ]

@@ -209,13 +209,13 @@ def _band_grams(stack: Complex, variance: Real) -> NDArray[np.float64]:
     return out
 
 
-def _grams(run: RunSpectra, theta: Parameters, stack: Complex, lines: Lines) -> NDArray[np.float64]:
+def _grams(run: RunSpectra, theta: Parameters, stack: Complex, forces: Complex, lines: Lines) -> NDArray[np.float64]:
     """Gram matrices of the Jacobian's functions; an FRF column has Q = φ_k·G·F there beside G·F, and each function is used once."""
     n = theta.hz.size
     if run.step_s is not None or run.forces.shape[0] != 1:
         return _band_grams(stack, run.response_variance[:, lines])
     drive = theta.shapes[run.force_rows[0]]
-    base = np.concatenate([(part * run.forces)[:, lines] for part in theta.functions(run).kernels])
+    base = np.concatenate([(part * forces)[:, lines] for part in theta.functions(run).kernels])
     of = np.concatenate([np.arange(3 * n), np.arange(n), np.arange(3 * n, stack.shape[0] - n)])
     factor = np.concatenate([drive, drive, drive, np.ones(stack.shape[0] - 3 * n)])
     grams = _band_grams(np.concatenate([base, stack[4 * n :]]), run.response_variance[:, lines])
@@ -267,7 +267,7 @@ def _run_gram(run: RunSpectra, theta: Parameters, stack: Complex, state: Residua
     part = stack[:, lines]
     normal = np.zeros((n_all, n_all)) if state.common is None else _common_gram(run, theta, part, state.common[:, :, lines], n_all)
     positions, factors = parameter_map(run, theta, n_global)
-    for at, factor, gram in zip(positions, factors, _grams(run, theta, part, lines), strict=True):
+    for at, factor, gram in zip(positions, factors, _grams(run, theta, part, state.clean_force, lines), strict=True):
         _add_block(normal, at, gram * np.outer(factor, factor))
     return normal
 

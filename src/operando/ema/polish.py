@@ -228,7 +228,7 @@ def _covariance(normal: Real, precision: Real) -> Real:
 def run_misfit(
     runs: Sequence[RunSpectra], theta: Parameters, keep: Sequence[NDArray[np.bool_]], terms: Outside | None = None
 ) -> tuple[float, Real]:
-    """Mean of |e_j|²/(D_j + |H_j|²σ_f²) over the kept lines of each run, and per row of the model's DOFs.
+    """Mean of |e_j|²/(D_j + |H_j|²σ_f²), of noise of a line, over the kept lines of each run, and per row of the model's DOFs.
 
     The kept lines are those the fit did not use; the transients come from the fit. Residual ``terms`` stand for what lies outside where
     given, in place of the free terms of each run.
@@ -241,7 +241,7 @@ def run_misfit(
         part = run.lines(mask)
         state = residual(part, theta, i)
         error = state.error if terms is None else state.error - _other_terms(part, theta, i, terms)
-        ratio = power_of(error) / state.variance
+        ratio = power_of(error) / state.variance * run.correlated_lines
         total += float(ratio.sum())
         count += ratio.size
         np.add.at(by_row, part.response_rows, np.stack([ratio.sum(axis=1), np.full(ratio.shape[0], ratio.shape[1])], axis=1))

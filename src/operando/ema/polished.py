@@ -17,7 +17,7 @@ from operando.ema.outside import OutsideModes, make_up, outside_modes, without_m
 from operando.ema.polish import Polished, signed
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import MAX_UNKNOWNS, choose_core, remaining_rows
-from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra
+from operando.ema.spectra import FRF_NOISE, FrfNoise, RunSpectra, excited_fit_band, frf_spectra, record_spectra
 from operando.ema.start import N_LOWER, inverted_forces, linear_residues, outside_kernels
 from operando.synthesis import power_of
 
@@ -114,13 +114,17 @@ def polish_runs(
     band: tuple[float, float],
     records: Sequence[TimeRecord] | None,
     exclude_bands: Sequence[tuple[float, float]] = (),
+    noise: FrfNoise = FRF_NOISE,
 ) -> tuple[list[RunSpectra], tuple[float, float]]:
-    """Spectra to fit, on lines a little wider than the analysis band where the force excites, and outside the bands excluded."""
+    """Spectra to fit, on lines a little wider than the analysis band where the force excites, and outside the bands excluded.
+
+    ``noise`` is that of FRFs fitted alone; the lines of whole records are independent.
+    """
     f = frf.frequencies_hz
     if not records:
         fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER[1] * band[1], f[-1])))
         fit_band = fit_band[0], between_modes(frf, WIDER[0] * band[1], fit_band[1])
-        return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
+        return [signed(run) for run in frf_spectra(frf, dofs, fit_band, noise)], fit_band
     fit_band = excited_fit_band(records, band, WIDER[1])
     fit_band = fit_band[0], between_modes(frf, WIDER[0] * band[1], fit_band[1])
     return [signed(record_spectra(record, dofs, fit_band).without_bands(exclude_bands)) for record in records], fit_band

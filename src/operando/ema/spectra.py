@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,12 +30,14 @@ class RunSpectra:
     # force_rows, force_signs (k,): the same for the forces
     force_rows: NDArray[np.int_]
     force_signs: NDArray[np.float64]
-    # response_variance, force_variance: (m, L), (k, L): E|noise|² of each line; 0 for the force of FRF columns
+    # response_variance, force_variance: (m, L), (k, L): E|noise|² of each line, times correlated_lines; of the force of an FRF column the
+    # error that its responses have in common, relative to the FRFs
     response_variance: NDArray[np.float64]
     force_variance: NDArray[np.float64]
     step_s: float | None  # sampling interval; None where there is no transient to model (FRF columns)
     name: str = ""
     top_hz: float = 0.0  # last line of the fitted band [Hz]; kept when lines are taken out
+    correlated_lines: float = 1.0  # lines that count as one, where FRFs share data between neighbouring lines
     window_rate: float = 0.0  # rate β [1/s] of the exponential window that forces and responses carry: X and F are those at s = iω + β
 
     def __post_init__(self) -> None:
@@ -208,20 +210,34 @@ def excited_limits(record: TimeRecord, band: tuple[float, float], share: float =
     return low, high
 
 
-def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> list[RunSpectra]:
+@dataclass(frozen=True)
+class FrfNoise:
+    """How the errors of FRFs go together: lines that count as one, and by the row of each force the common error of its FRFs, relative."""
+
+    correlated_lines: float = 1.0
+    common: Mapping[int, float] = field(default_factory=dict)
+
+
+FRF_NOISE = FrfNoise()
+"""Errors of lines and pairs that are independent of each other."""
+
+
+def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float], noise: FrfNoise = FRF_NOISE) -> list[RunSpectra]:
     """The columns of an FRF matrix as runs with unit force and no transient.
 
     With more references than responses (a roving hammer) the rows stand for them: by reciprocity the sensor that stays is what was driven,
-    and few runs of many responses need a fraction of the work of many runs of few.
+    and few runs of many responses need a fraction of the work of many runs of few. The variances are times the lines that count as one, so
+    that a sum over all lines holds no more than the FRFs do. A variance stays whole beside the error that its column has in common.
     """
     part = frf.to_quantity("accelerance").band(*band)
     f = part.frequencies_hz
     if f.size < LEAST_LINES:
         raise IdentificationError(f"only {f.size} lines within {band[0]:g}-{band[1]:g} Hz", hint="widen [analysis] band")
     data, variances, responses, references = part.data, part.variance, part.responses, part.references
+    common = noise.common
     if len(references) > len(responses):
         data, variances = data.transpose(1, 0, 2), None if variances is None else variances.transpose(1, 0, 2)
-        responses, references = references, responses
+        responses, references, common = references, responses, {}
     out = []
     for k, reference in enumerate(references):
         column = data[:, k]
@@ -245,10 +261,11 @@ def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> lis
                 np.asarray(signs, float),
                 np.asarray(force_rows),
                 np.asarray(force_signs, float),
-                np.maximum(variance, floor),
-                np.zeros((1, f.size)),
+                np.maximum(variance, floor) * noise.correlated_lines,
+                np.full((1, f.size), common.get(int(force_rows[0]), 0.0) * noise.correlated_lines),
                 None,
                 f"column {reference}",
+                correlated_lines=noise.correlated_lines,
                 window_rate=part.exponential_window_rate,
             )
         )

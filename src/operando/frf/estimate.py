@@ -17,7 +17,7 @@ from operando.frf.excitation import at_lines, on_common_lines, periodic_runs, wi
 from operando.frf.hits import LEAST_BLOCK, find_hits, is_impact, rejected_numbers
 from operando.frf.impact import ImpactBlocks, impact_blocks, overlap_finding
 from operando.frf.inputs import RunInput, run_input
-from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
+from operando.frf.leakage import HANN_DAMPING, LINES_NEEDED, Peak, resonance_peaks, sharpest
 from operando.frf.runs import RunEstimate, merge_runs
 from operando.frf.singles import average_hits
 from operando.frf.usable import usable_channels
@@ -188,6 +188,7 @@ def estimate_frf(
             estimates = average_hits(estimates)
             at_hits = all(blocks is not None for (_, blocks, _), _ in averaged)
             extra = [*few_averages(estimates), *_shorter_than_asked(block_seconds, length), *_without_overlap(overlap if at_hits else None)]
+            extra += [] if window == "rectangular" else _leakage(averaged)
         estimates, unexcited = within_excited(estimates)
         return _finished(merge_runs(estimates, wanted), [*lost, *extra, *unexcited])
 
@@ -382,6 +383,24 @@ def _leakage_reason(averaged: Sequence[tuple[_Cut, RunEstimate]]) -> tuple[str, 
         )
         return text, peak
     return "", peak
+
+
+def _leakage(averaged: Sequence[tuple[_Cut, RunEstimate]]) -> list[Finding]:
+    """What averages over Hann windows make of the sharpest peak, where the blocks are too short for it."""
+    reason, peak = _leakage_reason(averaged)
+    if not reason or peak is None:
+        return []
+    step = min(float(np.median(np.diff(made.frequencies_hz))) for (_, cut, _), made in averaged if cut is None)
+    percent = 100 * HANN_DAMPING * step / peak.bandwidth_hz
+    return [
+        Finding(
+            "leakage",
+            reason,
+            "warning",
+            consequence=f"the peak comes out lower and broader: its damping some {percent:.2g} % too large, which no interval holds",
+            action="give longer blocks, or leave the estimator to auto: the estimate on whole records does not leak",
+        )
+    ]
 
 
 def _shorter_blocks(
