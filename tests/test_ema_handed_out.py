@@ -16,7 +16,8 @@ from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import at_rest
 from operando.ema.discrepancy import STUDENT_FREEDOM, student_weights
 from operando.ema.findings import NOTABLE_MISFIT, misfit_findings
-from operando.ema.linear import FEW_PLACES, fit_linear, stated_covariance
+from operando.ema.frf_noise import stated_covariance
+from operando.ema.linear import FEW_PLACES, fit_linear
 from operando.ema.pairs import frf_pairs, informative_lines
 from operando.ema.projection import Poles
 from operando.ema.unit_mass import _left_out

@@ -179,9 +179,9 @@ def test_short_forms_are_short_and_harmless():
 
 
 def test_modes_that_are_not_there_are_refused():
-    with pytest.raises(DataError, match=r"modes \[99\] cannot be selected") as raised:
+    with pytest.raises(DataError, match=r"\[99\] names no modes of 4") as raised:
         modal().select_modes([99])
-    assert raised.value.hint.startswith("the model has 4 modes, counted from 0")
+    assert raised.value.hint.startswith("give positions from 0")
 
 
 def test_results_of_an_analysis_print_short():

@@ -1,9 +1,10 @@
-"""What FRFs and estimates refuse, and what they say of lines they cannot use."""
+"""What objects, FRFs and estimates refuse, and what they say of lines they cannot use."""
 
 from __future__ import annotations
 
 import dataclasses
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 
 import operando
 from operando.data import Frf, ModalModel, TimeRecord
+from operando.data.arrays import ByContent, frozen
 from operando.data.frf import ROUNDING
 from operando.errors import DataError, IdentificationError
 from operando.frf import averaged
@@ -43,12 +45,92 @@ def noisy_record(force_noise: float = 0.0, motion_noise: float = 0.05, n: int = 
         ({"coherence": np.array([[[0.5, -0.1]]])}, r"at 2 Hz is -0.1; 1 of 2"),
         ({"data": "hello"}, "FRF data is 'hello': no numbers"),
         ({"axis": "hello"}, "frequency axis is 'hello': no numbers"),
+        ({"axis": [1, 2j]}, "frequency axis is complex, real numbers are due"),
+        ({"variance": 1j * np.ones((1, 1, 2))}, "variance is complex"),
+        ({"data": np.ma.array(np.ones((1, 1, 2)), mask=[[[0, 1]]])}, "FRF data has 1 masked values"),
     ],
 )
 def test_values_that_cannot_be_are_refused(given: dict[str, Any], words: str) -> None:
     plain: dict[str, Any] = {"data": np.ones((1, 1, 2)), "axis": [1, 2], "responses": "1+X", "references": "1+X"}
     with pytest.raises(DataError, match=words):
         Frf(**(plain | given))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"frequencies_hz": [20 + 1j]}, "frequencies_hz is complex"),
+        ({"covariance": np.full((3, 3), np.nan)}, "not finite"),
+        ({"covariance": -np.eye(3)}, "variances below 0"),
+        ({"covariance": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, "not symmetric"),
+        ({"covariance": np.eye(2)}, r"shape \(2, 2\), expected \(3, 3\)"),
+    ],
+)
+def test_modes_that_cannot_be_are_refused(given: dict[str, Any], words: str) -> None:
+    plain: dict[str, Any] = {"frequencies_hz": [20.0], "damping_ratios": [0.02], "shapes": [[1.0]], "dofs": "1+Z"}
+    with pytest.raises(DataError, match=words):
+        ModalModel(**(plain | given))
+
+
+def test_objects_keep_what_they_were_made_of() -> None:
+    data, lines, shapes = np.ones((1, 1, 2)), np.array([1.0, 2.0]), np.ones((1, 1))
+    frf = Frf(data, lines, "1+X", "1+X", variance=data.real)
+    model = ModalModel([20.0], [0.02], shapes, "1+Z")
+    record = TimeRecord(data[0], 100.0, (operando.Channel("1+X", "force", "N"),))
+    data[:], lines[:], shapes[:] = 5.0, [3.0, 4.0], 7.0
+    assert frf.data.tolist() == [[[1, 1]]]
+    assert frf.variance is not None
+    assert frf.variance.tolist() == [[[1, 1]]]
+    assert frf.frequencies_hz.tolist() == [1, 2]
+    assert model.shapes.tolist() == [[1]]
+    assert record.data.tolist() == [[1, 1]]
+    view = np.ones(4)
+    held = frozen(np.broadcast_to(view, (2, 4)))
+    view[:] = 3.0
+    assert held.max() == 1
+    assert np.shares_memory(frozen(held), held)  # what nobody can write into is not copied
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda record, frf: record.select([5]), r"\[5\] names no channels of 3"),
+        (lambda record, frf: IDLE.select_terms([9]), r"\[9\] names no terms of 2"),
+        (lambda record, frf: IDLE.mode_dict(5), r"\[5\] names no modes of 2"),
+        (lambda record, frf: frf.without_bands([(0, 1e6)]), "hold all 750 lines, 5 to 79.9 Hz"),
+        (lambda record, frf: frf.at(np.nan), "not all finite"),
+        (lambda record, frf: frf.plot(band=(1e3, 2e3)), "holds no lines of the FRFs, which lie at 5 to 79.9 Hz"),
+        (lambda record, frf: frf.plot(parts=()), "no part of the figure is named"),
+        (lambda record, frf: record.plot_psd(block_seconds=0), "holds no two samples"),
+        (lambda record, frf: record.plot_psd(band=(1e3, 2e3)), "which reaches 128 Hz"),
+        (lambda record, frf: operando.fit_oma(record, band=(5, 80), references=[]), "names no DOF"),
+        (lambda record, frf: operando.estimate_frf(record, estimator="lrm", line_spacing_hz=0), "line_spacing_hz = 0 is no distance"),
+        (lambda record, frf: operando.estimate_frf(record, estimator="lrm", line_spacing_hz=500), "lines 500 Hz apart: none from"),
+        (lambda record, frf: operando.estimate_frf(record, estimator="lrm", max_lines=0), "max_lines = 0 is no count"),
+        (
+            lambda record, frf: operando.estimate_frf(record, estimator="lrm", window_lines=99_999),
+            "a window of 99999 lines .* fewer window_lines",
+        ),
+    ],
+)
+def test_calls_that_cannot_be_met_say_why(call: Callable[[TimeRecord, Frf], object], words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        call(noisy_record(n=10_000), MADE)
+
+
+def test_white_noise_has_no_modes() -> None:
+    channels = tuple(operando.Channel(d, "acceleration", "m/s2") for d in ("1+Z", "2+Z"))
+    noise = TimeRecord(np.random.default_rng(0).standard_normal((2, 20_000)), 1000.0, channels)
+    with pytest.raises(IdentificationError, match=r"is certain enough to be a mode|no mode found"):
+        operando.fit_oma(noise, band=(5, 400))
+
+
+def test_one_line_and_one_part_of_an_frf_are_drawn() -> None:
+    assert MADE.lines(3).frequencies_hz == pytest.approx([5.3])
+    axes = MADE["1+Z", "1+Z"].plot(parts="magnitude")
+    IDLE.frf(LINES, "1+Z", "1+Z").plot(axes, labels=["EMA"])
+    assert [line.get_label() for line in axes.lines][1:] == ["EMA"]
+    MADE.lines([3]).plot()
 
 
 def test_rounding_of_coherence_and_variance_is_allowed() -> None:
@@ -63,7 +145,8 @@ def test_rounding_of_coherence_and_variance_is_allowed() -> None:
 def test_a_coherence_that_cannot_be_is_left_out_of_a_file(tmp_path: Path) -> None:
     frf = replace(MADE, coherence=np.full(MADE.data.shape, 0.9))
     assert frf.coherence is not None
-    frf.coherence.base[0, 0, 3] = 7.0
+    frf.coherence.flags.writeable = True
+    frf.coherence[0, 0, 3] = 7.0
     operando.write_uff(tmp_path / "frf.uff", frf)
     found = operando.read(tmp_path / "frf.uff")
     assert [f.kind for f in found.findings if "coherence" in f.kind] == ["impossible_coherence"]
@@ -89,6 +172,9 @@ def test_objects_are_equal_where_their_content_is() -> None:
 
 
 def test_every_public_class_with_arrays_is_compared_by_content() -> None:
+    assert MADE.frequencies_hz is not LINES
+    assert IDLE.terms == replace(IDLE).terms
+    assert issubclass(type(IDLE.terms), ByContent)
     kinds = [kind for name in operando.__all__ if isinstance(kind := getattr(operando, name), type) and dataclasses.is_dataclass(kind)]
     for kind in kinds:
         if "NDArray" in str(kind.__annotations__) or "Frf" in str(kind.__annotations__) or "ModalModel" in str(kind.__annotations__):

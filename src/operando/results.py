@@ -124,7 +124,7 @@ class Results(Short):
     comparison: dict[str, Any] | None = None
     diagnosis: dict[str, Any] | None = None
     left_out: dict[str, str] = field(default_factory=dict)
-    timings_s: dict[str, float] = field(default_factory=dict)
+    timings_s: dict[str, float] = field(default_factory=dict, compare=False)
     effect_covariance: Any = None  # before the model whose covariance is a block of it: model.h5 holds that once
     effect_idle: ModalModel | None = None
     automatic: ModalModel | None = None

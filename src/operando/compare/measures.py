@@ -9,6 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data.arrays import ByContent
+
 SNR_LIMIT = 100.0
 """|H|²/var_meas above which a line counts in dB measures."""
 
@@ -16,8 +18,8 @@ DB = 20 / np.log(10)
 """dB of a small relative change, 8.686."""
 
 
-@dataclass(frozen=True)
-class Lines:
+@dataclass(frozen=True, eq=False)
+class Lines(ByContent):
     """Complex lines of all pairs, flat: one entry a response–reference pair and frequency line.
 
     Parameters

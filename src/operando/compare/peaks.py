@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data.arrays import ByContent
 from operando.synthesis import power_of
 
 PROMINENCE_DB = 3.0
@@ -38,8 +39,8 @@ LEAST_MAC = 0.3
 """Residue patterns less alike are not the same mode."""
 
 
-@dataclass(frozen=True)
-class Peak:
+@dataclass(frozen=True, eq=False)
+class Peak(ByContent):
     """One refitted resonance.
 
     Parameters

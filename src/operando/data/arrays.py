@@ -1,7 +1,9 @@
-"""Small helpers for read-only, checked arrays."""
+"""Read-only, checked arrays, and objects that hold them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -11,16 +13,66 @@ from operando.errors import DataError
 
 
 def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = None, name: str = "array") -> NDArray[Any]:
-    """Read-only view or copy of ``value``; the caller's array stays writable."""
+    """Read-only array of ``value``: a copy, so that no change of the caller's reaches it, unless nobody can write into it as it is.
+
+    Masked values, and complex ones where real ones are due, are errors: they would lose what they say.
+    """
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        n = int(np.ma.count_masked(value))
+        raise DataError(f"{name} has {n} masked values", hint="fill them (NaN where values may be missing), or leave out what holds them")
     try:
-        array = np.asarray(value, dtype=dtype)
+        array = np.asarray(value)
+        wanted = array.dtype if dtype is None else np.dtype(dtype)
+        real = array.real if np.iscomplexobj(array) and wanted.kind != "c" else array
+        if wanted.kind in "iu" and real.dtype.kind == "f" and not np.all(real == np.floor(real)):
+            raise ValueError
+        made = np.array(real, wanted) if _writable(real) or real.dtype != wanted else real
     except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{name} is {value!r:.60}: no numbers", hint="give an array of numbers") from error
-    if ndim is not None and array.ndim != ndim:
-        raise DataError(f"{name} has {array.ndim} dimensions, expected {ndim}")
-    view = array.view()
-    view.flags.writeable = False
-    return view
+    if real is not array and np.any(array.imag):
+        raise DataError(f"{name} is complex, real numbers are due", hint="give its real part or its modulus, whichever is meant")
+    if ndim is not None and made.ndim != ndim:
+        raise DataError(f"{name} has {made.ndim} dimensions, expected {ndim}")
+    made.flags.writeable = False
+    return made
+
+
+def owned(array: NDArray[Any]) -> NDArray[Any]:
+    """An array that nobody else holds, read-only from now on: objects take it without a copy."""
+    array.flags.writeable = False
+    return array
+
+
+def is_complex(value: Any) -> bool:
+    """Whether numbers, in whatever they are given, are complex; not where they are none."""
+    try:
+        return bool(np.iscomplexobj(value))
+    except ValueError:
+        return False
+
+
+def _writable(array: Any) -> bool:
+    """Whether the memory of an array can be written through it or through one it is a view of; what stays in a file is not copied."""
+    if isinstance(array, np.memmap):
+        return False
+    while isinstance(array, np.ndarray):
+        if array.flags.writeable:
+            return True
+        array = array.base
+    return False
+
+
+def check_covariance(covariance: NDArray[np.float64], n: int) -> None:
+    """Refuse what cannot be the covariance of ``n`` parameters: another size, infinite or lopsided entries, variances below 0."""
+    if covariance.shape != (n, n):
+        raise DataError(f"covariance has shape {covariance.shape}, expected {(n, n)}")
+    variances = np.diag(covariance)
+    if not np.all(np.isfinite(covariance)) or np.any(variances < 0):
+        raise DataError("covariance holds values that are not finite, or variances below 0", hint="leave it out where it is not known")
+    deviations = np.sqrt(variances)
+    rounding = 1e-12 * variances.max(initial=0.0)
+    if np.any(np.abs(covariance - covariance.T) > 1e-6 * np.outer(deviations, deviations) + rounding):
+        raise DataError("covariance is not symmetric", hint="give E[δ δᵀ] of all parameters, in their order")
 
 
 def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
@@ -34,6 +86,8 @@ def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
 def numbers_of(values: Any, what: str, hint: str) -> NDArray[np.float64]:
     """Numbers as they are given, or an error that says ``what`` they are for and, as ``hint``, what to give instead."""
     try:
+        if is_complex(values):
+            raise TypeError
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{what} {values!r:.200}: no numbers", hint=hint) from error
@@ -69,6 +123,14 @@ def frequencies_of(values: Any, what: str) -> tuple[float, ...]:
     return tuple(float(f) for f in hz)
 
 
+def positions_of(which: Any, n: int, what: str) -> NDArray[np.intp]:
+    """Positions among ``n`` things, given as positions or as a mask, or an error that says what there is."""
+    try:
+        return np.asarray(np.arange(n)[which if isinstance(which, np.ndarray) and which.size else list(which)], np.intp).reshape(-1)
+    except (IndexError, TypeError) as error:
+        raise DataError(f"{which!r:.60} names no {what} of {n}", hint="give positions from 0, or a mask") from error
+
+
 def band_limits(band: Any) -> tuple[float, float]:
     """Both limits of a band [Hz], whatever their order."""
     limits = numbers_of(band, "band", "give [low, high] in Hz")
@@ -102,3 +164,28 @@ def bands_of(bands: Any, what: str) -> tuple[tuple[float, float], ...]:
     if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
         raise DataError(f"{what} {bands!r:.200} is no list of bands", hint=hint)
     return tuple(map(positive_band, pairs.reshape(-1, 2)))
+
+
+class ByContent:
+    """Equal where all that two objects hold is equal, NaN in one place included. For dataclasses that hold arrays (``eq=False``)."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, other: object) -> bool:
+        return _same(self, other) if type(self) is type(other) else NotImplemented
+
+
+def _same(one: Any, two: Any) -> bool:
+    """Whether two values are equal, arrays and what holds them by their content."""
+    if one is two:
+        return True
+    if is_dataclass(one):
+        return type(one) is type(two) and all(_same(getattr(one, f.name), getattr(two, f.name)) for f in fields(one) if f.compare)
+    if hasattr(one, "dtype") or hasattr(two, "dtype"):
+        a, b = np.asarray(one), np.asarray(two)
+        return bool(np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc"))
+    if isinstance(one, list | tuple):
+        return type(one) is type(two) and len(one) == len(two) and all(map(_same, one, two))
+    if isinstance(one, Mapping):
+        return isinstance(two, Mapping) and one.keys() == two.keys() and all(_same(one[k], two[k]) for k in one)
+    return bool(one == two) or (one != one and two != two)

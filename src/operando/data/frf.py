@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import bands_of, frozen, number_of, ordered_band
+from operando.data.arrays import bands_of, frozen, number_of, numbers_of, ordered_band
 from operando.data.axis import FrequencyAxis
 from operando.data.declared import check_fields, listed
 from operando.data.findings import Finding
@@ -143,8 +143,9 @@ class Frf(Noun):
         references: object = None,
         quantity: str | None = None,
         band: tuple[float, float] | None = None,
+        labels: Sequence[str] | None = None,
         noise: bool = False,
-        parts: Sequence[str] = ("magnitude", "phase", "coherence"),
+        parts: str | Sequence[str] = ("magnitude", "phase", "coherence"),
     ) -> Axes:
         """Magnitude, phase and coherence (:func:`operando.plots.plot_frf`).
 
@@ -158,9 +159,11 @@ class Frf(Noun):
             ``receptance``, ``compliance``, ``dynamic_stiffness``, …; default: its own.
         band : (float, float), optional
             Analysis band [Hz], shaded outside.
+        labels : sequence of str, optional
+            One word that names these curves in the legend. Default: the name of the FRF.
         noise : bool
             Draw the standard deviation of the first pair drawn; select one pair to see its own.
-        parts : sequence of {"magnitude", "phase", "coherence"}
+        parts : sequence of {"magnitude", "phase", "coherence"}, or one of them
 
         Returns
         -------
@@ -175,7 +178,7 @@ class Frf(Noun):
         'Receptance [m/N]'
         """
         made: Axes = plots().plot_frf(
-            self, axes, responses=responses, references=references, quantity=quantity, band=band, noise=noise, parts=parts
+            self, axes, responses=responses, references=references, quantity=quantity, band=band, labels=labels, noise=noise, parts=parts
         )
         return made
 
@@ -240,7 +243,7 @@ class Frf(Noun):
         DataError
             If a position is not there, or none is named.
         """
-        keep = which if isinstance(which, slice) else np.asarray(which)
+        keep = which if isinstance(which, slice) else np.atleast_1d(np.asarray(which))
         part = lambda array: None if array is None else array[:, :, keep]  # noqa: E731
         try:
             axis = FrequencyAxis(self.frequencies_hz[keep])
@@ -296,6 +299,9 @@ class Frf(Noun):
         keep = np.ones(len(self.axis), bool)
         for low, high in bands_of(bands, "bands left out"):
             keep[self.axis.band(low, high)] = False
+        if not keep.any():
+            f = self.frequencies_hz
+            raise DataError(f"the bands left out hold all {f.size} lines, {f[0]:g} to {f[-1]:g} Hz", hint="leave lines to work on")
         return self if keep.all() else self.lines(keep)
 
     def select(self, responses: object = None, references: object = None) -> Frf:
@@ -405,7 +411,10 @@ class Frf(Noun):
 
     def at(self, frequencies: ArrayLike) -> NDArray[np.intp]:
         """Indices of the nearest lines."""
-        f = np.atleast_1d(np.asarray(frequencies, float))
+        hint = "give frequencies in Hz, as [12.1, 15.5]"
+        f = np.atleast_1d(numbers_of(frequencies, "frequencies", hint))
+        if not np.all(np.isfinite(f)):
+            raise DataError(f"frequencies {frequencies!r:.60} are not all finite", hint=hint)
         lines = self.frequencies_hz
         above = np.searchsorted(lines[1:-1], f) + 1 if lines.size > 1 else np.zeros(f.size, np.intp)
         below = np.maximum(above - 1, 0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data.arrays import frozen
+from operando.data.arrays import ByContent, frozen
 from operando.data.declared import check_fields, listed
 from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
@@ -26,8 +26,8 @@ def _nodes(given: Any) -> Any:
     return tuple(node_label(*split_node(n)) for n in nodes) if isinstance(nodes, tuple) else nodes
 
 
-@dataclass(frozen=True)
-class CoordinateSystem:
+@dataclass(frozen=True, eq=False)
+class CoordinateSystem(ByContent):
     """A local coordinate system, as a geometry file defines it.
 
     Parameters

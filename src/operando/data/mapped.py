@@ -19,6 +19,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import DTypeLike, NDArray
 
+from operando.data.arrays import ByContent
 from operando.data.stored import StoredFile, StoredRow
 from operando.errors import WriteError
 
@@ -275,8 +276,8 @@ def scaled_rows(data: Any, factors: Sequence[float]) -> Any:
     return data.changed_by(times, data.dtype) if isinstance(data, MappedSamples) else times(data, range(len(data)), 0, data.shape[1])
 
 
-@dataclass(frozen=True)
-class RowStatistics:
+@dataclass(frozen=True, eq=False)
+class RowStatistics(ByContent):
     """Statistics of each channel over its finite samples.
 
     Parameters

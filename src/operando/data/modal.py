@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import frozen, positive_band
+from operando.data.arrays import check_covariance, frozen, positions_of, positive_band
 from operando.data.axis import FrequencyAxis
 from operando.data.coupling import ModalCoupling
 from operando.data.declared import check_fields, listed
@@ -128,8 +128,8 @@ class ModalModel(ModalFigures, Noun):
         if self.coupling is not None and (self.scaling != "unit_modal_mass" or self.coupling.lag.shape != self.terms.shapes.shape):
             raise DataError(f"damping between terms of lags {self.coupling.lag.shape} does not belong to this model")
         p = self.n_parameters
-        if self.covariance is not None and self.covariance.shape != (p, p):
-            raise DataError(f"covariance has shape {self.covariance.shape}, expected {(p, p)}")
+        if self.covariance is not None:
+            check_covariance(self.covariance, p)
         for name, values in (self.std or {}).items():
             if values is not None and np.shape(values)[-1:] != (self.terms.n,):
                 raise DataError(f"std[{name!r}] has shape {np.shape(values)}, expected one value a term, {self.terms.n} in all")
@@ -309,12 +309,7 @@ class ModalModel(ModalFigures, Noun):
         DataError
             If one is not there.
         """
-        try:
-            some = np.arange(self.n_modes)[keep if isinstance(keep, np.ndarray) else list(keep)]
-        except (IndexError, TypeError) as error:
-            hint = f"the model has {counted(self.n_modes, 'mode')}, counted from 0: select_modes([0])"
-            raise DataError(f"modes {keep!r} cannot be selected", hint=hint) from error
-        return self.select_terms(some)
+        return self.select_terms(positions_of(keep, self.n_modes, "modes"))
 
     def select_terms(self, keep: Sequence[int] | NDArray[Any]) -> ModalModel:
         """Some of the terms (indices or mask over ``terms``), covariance included; modes stay modes, residual terms residual."""
@@ -434,6 +429,7 @@ class ModalModel(ModalFigures, Noun):
 
     def mode_dict(self, i: int) -> dict[str, Any]:
         """JSON object of one mode, as in ``summary.json``."""
+        i = int(positions_of([i], self.n_modes, "modes")[0])
         shape, moving = self.shapes[:, i], self.complex_shapes[:, i]
         f_std, z_std, s_std = self.frequency_std_hz, self.damping_ratio_std, self.shape_std
         value = (lambda v: [float(v.real), float(v.imag)]) if np.iscomplexobj(shape) else (lambda v: float(v))

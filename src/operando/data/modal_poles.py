@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data.arrays import ByContent
 from operando.data.coupling import ModalCoupling
 from operando.data.modal_terms import ModalTerms
 from operando.synthesis import second_order_poles
@@ -15,8 +16,8 @@ from operando.synthesis import second_order_poles
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class PoleForm:
+@dataclass(frozen=True, eq=False)
+class PoleForm(ByContent):
     """Frequencies and damping ratios (n,) of the poles of tied terms.
 
     With tied terms the diagonals of the modal damping and stiffness matrices say 2ζω and ω² of no pole. This form has the poles, and

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import frozen
+from operando.data.arrays import ByContent, frozen, is_complex, positions_of
 from operando.data.coupling import ModalCoupling
 from operando.data.objects import Shown, counted, names_text
 from operando.dof import Dof, match_dofs, parse_dofs
@@ -64,8 +64,8 @@ class ResidualTerms(Shown):
         }
 
 
-@dataclass(frozen=True)
-class ModalTerms:
+@dataclass(frozen=True, eq=False)
+class ModalTerms(ByContent):
     """All terms of a modal model, for code that sums over them: the modes in their order, then the residual terms in theirs.
 
     θ = [f (Hz), ζ, shapes term by term (all DOFs of term 0, of term 1, …)]; for complex shapes the real parts of all terms come
@@ -166,7 +166,7 @@ class ModalTerms:
 
     def select(self, keep: Sequence[int] | NDArray[Any]) -> ModalTerms:
         """Some of the terms (indices or mask) in that order, covariance included; residual terms may stand anywhere then."""
-        index = np.arange(self.n)[keep if isinstance(keep, np.ndarray) else list(keep)]
+        index = positions_of(keep, self.n, "terms")
         covariance = self.covariance
         if covariance is not None:
             where = self.positions(index, np.arange(len(self.dofs)))
@@ -186,8 +186,7 @@ def checked_terms(
     """Frequencies, damping ratios and shapes as read-only arrays that belong together."""
     hz = frozen(frequencies_hz, float, 1, "frequencies_hz")
     zeta = frozen(damping_ratios, float, 1, "damping_ratios")
-    values = np.asarray(shapes)
-    values = frozen(values, complex if np.iscomplexobj(values) else float, 2, "shapes")
+    values = frozen(shapes, complex if is_complex(shapes) else float, 2, "shapes")
     rows = values.shape[0] if n_dofs is None else n_dofs
     if zeta.shape != hz.shape or values.shape != (rows, hz.size):
         raise DataError(

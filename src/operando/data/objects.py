@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import html
 import importlib
-from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
-import numpy as np
-
+from operando.data.arrays import ByContent
 from operando.data.declared import check_fields
 from operando.errors import ObjectError
 from operando.paths import path_of
@@ -57,31 +55,6 @@ def common_name(objects: Iterable[Named]) -> str:
 def counted(n: int, noun: str) -> str:
     """``1 force``, ``3 forces``."""
     return f"{n} {noun}" + ("" if n == 1 else "s")
-
-
-class ByContent:
-    """Equal where all that two objects hold is equal, NaN in one place included. For dataclasses that hold arrays (``eq=False``)."""
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __eq__(self, other: object) -> bool:
-        return _same(self, other) if type(self) is type(other) else NotImplemented
-
-
-def _same(one: Any, two: Any) -> bool:
-    """Whether two values are equal, arrays and what holds them by their content."""
-    if one is two:
-        return True
-    if is_dataclass(one):
-        return type(one) is type(two) and all(_same(getattr(one, f.name), getattr(two, f.name)) for f in fields(one) if f.compare)
-    if hasattr(one, "dtype") or hasattr(two, "dtype"):
-        a, b = np.asarray(one), np.asarray(two)
-        return bool(np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc"))
-    if isinstance(one, list | tuple):
-        return type(one) is type(two) and len(one) == len(two) and all(map(_same, one, two))
-    if isinstance(one, Mapping):
-        return isinstance(two, Mapping) and one.keys() == two.keys() and all(_same(one[k], two[k]) for k in one)
-    return bool(one == two) or (one != one and two != two)
 
 
 class Shown(ByContent):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import mapped
-from operando.data.arrays import frozen, number_of
+from operando.data.arrays import frozen, is_complex, number_of, positions_of
 from operando.data.declared import check_fields, listed
 from operando.data.findings import Finding
 from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics, scaled_rows
@@ -283,7 +283,8 @@ class TimeRecord(Noun):
 
     def select(self, rows: Sequence[int]) -> TimeRecord:
         """The record with some of its rows, in the order given."""
-        return replace(self, data=self.data[list(rows)], channels=tuple(self.channels[i] for i in rows))
+        numbers = positions_of(rows, len(self.channels), "channels").tolist()
+        return replace(self, data=self.data[numbers], channels=tuple(self.channels[i] for i in numbers))
 
     def rows(self, wanted: Any) -> list[tuple[int, Dof | None]]:
         """Rows of channels named by DOF or by name, and the DOF each was asked for (None: by its name).
@@ -411,11 +412,9 @@ def _samples(data: Any) -> Any:
     """Samples as a record holds them: a read-only array of floats, or what stays in its file."""
     if isinstance(data, MappedSamples):
         return data
-    array = frozen(data, name="record data")
-    if np.iscomplexobj(array):
-        raise DataError("record data are complex, samples are real", hint="FRFs and spectra are no record: operando.Frf holds FRFs")
-    if not np.issubdtype(array.dtype, np.floating):
-        array = frozen(data, float, name="record data")
-    elif isinstance(data, np.memmap) and data.ndim == 2 and data.mode == "r" and data.nbytes >= mapped.MAPPED_FROM:
+    if isinstance(data, np.memmap) and data.ndim == 2 and data.mode == "r" and data.nbytes >= mapped.MAPPED_FROM and data.dtype.kind == "f":
         return mapped_memmap(data)
-    return frozen(array, ndim=2, name="record data")
+    if is_complex(data):
+        raise DataError("record data are complex, samples are real", hint="FRFs and spectra are no record: operando.Frf holds FRFs")
+    single = isinstance(data, np.ndarray) and data.dtype.kind == "f"
+    return frozen(data, None if single else float, 2, "record data")

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from operando.data import Frf, ModalModel, Provenance
 from operando.dof import Dof
 from operando.ema.doubts import Evidence
-from operando.ema.linear import LinearFit, stated_covariance
+from operando.ema.frf_noise import stated_covariance
+from operando.ema.linear import LinearFit
 from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.polish import Polished

@@ -244,7 +244,7 @@ def _answer(
     if turned.size:
         pairs = pairs.turned(turned)
         fit = fit.turned(turned)
-    whole, fit = fit, separated(fit)
+    whole, fit = fit, separated(replace(fit, noise=frf_noise(pairs, fit)))
     evidence = evidence_of_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, pairs, job.band, evidence, mass.scaled)
@@ -283,7 +283,7 @@ def _polished(
 ) -> tuple[_Outcome | None, str]:
     """The maximum-likelihood answer, or None and why it is not taken: too much work, or worse on unused lines than the linear stage."""
     if not runs:
-        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None, noise=frf_noise(pairs, fit))
+        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None, noise=fit.noise)
     first = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > POLISH_SUPPORT]
     hz, zeta = _distinct(first) if first else (fit.poles.hz, fit.poles.zeta)
     work = polish_work(runs, len(job.dofs), hz.size)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.ema.discrepancy import Variance, fit_variance, line_correlation, student_weights
+from operando.ema.discrepancy import Variance, fit_variance, line_correlation
 from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.projection import (
     CURVED_SHARE,
@@ -17,7 +17,6 @@ from operando.ema.projection import (
     Coefficients,
     Poles,
     Projection,
-    basis,
     modal_power,
     project,
     search_poles,
@@ -26,7 +25,7 @@ from operando.ema.projection import (
     tail_columns,
     updated_spreads,
 )
-from operando.synthesis import power_of
+from operando.ema.spectra import FRF_NOISE, FrfNoise
 
 MAX_DAMPING = 0.15
 NOISE_LIMITED = 0.01
@@ -47,8 +46,9 @@ class LinearFit:
     """Modes of given FRFs with free residues in each pair, on the lines that were used.
 
     ``covariance`` (2n, 2n) of [ln f, ln ζ] is for rating poles: errors of a pair may be correlated over its lines in any way
-    (:func:`stated_covariance` adds what a drift within a pair does). ``correlation`` is ν, lines that count as one. ``second_shapes`` are
-    poles that stand for the second shape of the one before them, at its frequency (:mod:`operando.ema.close_pairs`).
+    (:func:`operando.ema.frf_noise.stated_covariance` is stated). ``correlation`` is ν, lines that count as one. ``second_shapes`` are
+    poles that stand for the second shape of the one before them, at its frequency (:mod:`operando.ema.close_pairs`). ``noise`` is how
+    errors go together on all lines, where that is known.
     """
 
     pairs: Pairs
@@ -59,6 +59,7 @@ class LinearFit:
     correlation: float
     ends_hz: tuple[float, float]
     second_shapes: tuple[int, ...] = ()
+    noise: FrfNoise = FRF_NOISE
 
     @property
     def n_modes(self) -> int:
@@ -211,7 +212,7 @@ def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
     from place to place, in the order of the file, is no error of it, so successive differences stand for the scatter (von Neumann, Ann.
     Math. Stat. 12, 1941, 367–395). With few clusters the covariance of ν correlated lines counts where it is larger.
     """
-    inverse = _inverse(projection.normal)
+    inverse = inverse_of(projection.normal)
     naive = 0.5 * nu * inverse
     single = pairs.places >= 0
     place = np.unique(pairs.places[single], return_inverse=True)[1]
@@ -223,42 +224,18 @@ def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
     gradient += projection.gradient[~single].sum(axis=0) / count
     if count < FEW_PLACES:
         own = np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
-        return _raised(own, np.diag(naive))
+        return raised(own, np.diag(naive))
     steps = np.diff(gradient, axis=0)
     return np.asarray(inverse @ (steps.T @ steps) @ inverse * 0.5 * count / (count - 1))
 
 
-def stated_covariance(fit: LinearFit) -> Real:
-    """Covariance of [ln f, ln ζ] to be stated: that of the fit, what Student weights do to the damping, and a drift within a place.
-
-    1/(x + iζ) averaged over a spread s is as with ζ(1 + s²/ζ²). A random walk over all places of rms δ has s² = δ²/places within one.
-    Frequencies err by the shifts of the pairs, whose spread no weight has made smaller; of few places the lines say as much as is true.
-    """
-    variances, n = np.diag(fit.covariance).copy(), fit.n_modes
-    places = max(1, np.unique(fit.pairs.places[fit.pairs.places >= 0]).size)
-    if places >= FEW_PLACES:
-        variances[n:] *= _damping_slope(fit)
-    variances[n:] += np.minimum(fit.poles.drift**2 / fit.poles.zeta**2 / places, 1.0) ** 2
-    return _raised(fit.covariance, variances)
-
-
-def _damping_slope(fit: LinearFit) -> Real:
-    """Factors to the true variances of damping ratios by scores under Student weights, (n,), at the lines that tell each of them."""
-    plain, gz = fit.variance.plain, basis(fit.pairs.frequencies_hz, fit.poles, fit.pairs.window_rate)[4]
-    weights, slope = student_weights(power_of(fit.projection.error), plain)
-    out = []
-    for a, kernel in zip(fit.projection.a.T, gz, strict=True):
-        told = a[:, None] ** 2 * power_of(kernel) / plain
-        out.append((np.sum(told * weights) / max(float(np.sum(told * slope)), 1e-300)) ** 2 if told.any() else 1.0)
-    return np.array(out)
-
-
-def _inverse(normal: Real) -> Real:
+def inverse_of(normal: Real) -> Real:
+    """Inverse of a normal matrix of unknowns in different units."""
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale))
 
 
-def _raised(covariance: Real, variances: Real) -> Real:
+def raised(covariance: Real, variances: Real) -> Real:
     """The covariance with variances at least as large as these, correlations kept."""
     own = np.maximum(np.diag(covariance), 1e-300)
     ratio = np.sqrt(np.maximum(variances, own) / own)

@@ -212,10 +212,14 @@ def excited_limits(record: TimeRecord, band: tuple[float, float], share: float =
 
 @dataclass(frozen=True)
 class FrfNoise:
-    """How the errors of FRFs go together: lines that count as one, and by the row of each force the common error of its FRFs, relative."""
+    """How the errors of FRFs go together.
+
+    Lines that count as one, the distance of lines [Hz], and by the row of each force the relative variance of the error common to its FRFs.
+    """
 
     correlated_lines: float = 1.0
     common: Mapping[int, float] = field(default_factory=dict)
+    spacing_hz: float = 0.0
 
 
 FRF_NOISE = FrfNoise()

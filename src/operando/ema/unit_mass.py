@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Frf
-from operando.ema.linear import LinearFit, stated_covariance
+from operando.ema.frf_noise import stated_covariance
+from operando.ema.linear import LinearFit
 from operando.ema.pairs import Complex, Real
 
 SMALL_SHARE = 0.1

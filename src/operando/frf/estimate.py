@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from operando.data import Finding, Frf, TimeRecord, group_findings, number_of, positive_band, several
+from operando.data import Finding, Frf, TimeRecord, count_of, group_findings, number_of, positive_band, several
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.averaged import averaged_run, few_averages
@@ -137,6 +137,9 @@ def estimate_frf(
     share = "give a share from 0 to below 1"
     if overlap is not None and not 0 <= (overlap := number_of(overlap, "overlap", share)) < 1:
         raise DataError(f"overlap = {overlap:g} is no share of a block", hint=share)
+    if line_spacing_hz is not None and not (line_spacing_hz := number_of(line_spacing_hz, "line_spacing_hz", "give it in Hz")) > 0:
+        raise DataError(f"line_spacing_hz = {line_spacing_hz:g} is no distance", hint="give it in Hz, above 0")
+    max_lines, window_lines = count_of(max_lines, "max_lines", 4000) or 4000, count_of(window_lines, "window_lines", 17) or 17
     quantities = {r.quantity for r in runs}
     if len(quantities) > 1:
         raise DataError(f"the runs measure different quantities: {', '.join(sorted(quantities))}", hint="estimate them apart")

@@ -108,7 +108,13 @@ def choose_lines(
     lowest, highest = (window_lines // 2) / duration, 0.98 * nyquist
     low, high = (lowest, nyquist / 1.28) if band is None else (max(band[0], 1 / duration), min(band[1], highest))
     if not low < high:
-        raise DataError(f"band {band} Hz holds no lines of a record of {duration:g} s", hint="the record is too short or the band wrong")
+        wide = f"a window of {window_lines} lines of a record of {duration:g} s is {window_lines / duration:.3g} Hz wide"
+        said = (
+            f"{wide}, too wide for all that is measured" if band is None else f"band {band} Hz holds no lines of a record of {duration:g} s"
+        )
+        raise DataError(
+            said, hint="measure longer, or take fewer window_lines" if band is None else "the record is too short or the band wrong"
+        )
     peak = None
     if spacing is None:
         coarse = (high - low) / max_lines
@@ -120,6 +126,8 @@ def choose_lines(
         step = 1 / duration
         spacing = step * max(1.0, np.floor(spacing / step + 1e-9))
     first, last = int(np.ceil(low / spacing - 1e-9)), int(np.floor(high / spacing + 1e-9))
+    if last < max(first, 1):
+        raise DataError(f"lines {spacing:g} Hz apart: none from {low:.4g} to {high:.4g} Hz", hint="give a smaller line_spacing_hz")
     return spacing * np.arange(max(first, 1), last + 1), peak
 
 

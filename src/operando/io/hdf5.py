@@ -25,6 +25,7 @@ import numpy as np
 
 from operando.atomic import replacing
 from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, check_fields, mapped, mapped_rows, pieces
+from operando.data.arrays import owned
 from operando.dof import Dof
 from operando.errors import FormatError, OperandoError
 from operando.io.hdf5_tree import HASH, TREE, Target, encode, hash_of, write_dataset
@@ -253,7 +254,7 @@ class _Stored:
         plain = getattr(item, "ndim", 0) == 2 and item.dtype.kind == "f" and item.nbytes >= mapped.MAPPED_FROM
         start = item.id.get_offset() if plain and item.chunks is None else None
         if start is None or name in self._taken:
-            return self.array(name, stated)
+            return owned(self.array(name, stated))
         self._taken.add(name)
         step = item.shape[1] * item.dtype.itemsize
         rows = [StoredRow(start + i * step, item.dtype) for i in range(item.shape[0])]

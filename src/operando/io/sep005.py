@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from operando.data import Channel, Finding, MappedSamples, Provenance, TimeRecord
+from operando.data.arrays import owned
 from operando.data.mapped import scaled_rows
 from operando.dof import Dof
 from operando.errors import DataError, DofError
@@ -63,7 +64,10 @@ def make_record(
     if not rows:
         raise DataError("no channel is left", where=source or None, hint="[channels] excludes them all")
     part = array if len(rows) == len(array) else array[rows]
-    return TimeRecord(scaled_rows(part, factors), sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance())
+    data = scaled_rows(part, factors)
+    if isinstance(data, np.ndarray) and not np.may_share_memory(data, array):
+        data = owned(data)
+    return TimeRecord(data, sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance())
 
 
 def _dof_of(name: str) -> Dof | None:

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel, Short, counted, names_text
+from operando.data.arrays import ByContent
 from operando.oma.spectra import Spectra
 from operando.stabilization import RejectedPole, Stabilization
 
 
-@dataclass(frozen=True)
-class SetUp:
+@dataclass(frozen=True, eq=False)
+class SetUp(ByContent):
     """One set-up of a merged analysis: its sensors, those that another one measures, too, its modes, and the merged mode each belongs to.
 
     ``merged`` (n,) is −1 where a mode was left out, and ``reasons`` say why; ``failed`` says why the whole set-up is not used. NaN where
@@ -54,8 +55,8 @@ class SetUp:
         }
 
 
-@dataclass(frozen=True)
-class JointCheck:
+@dataclass(frozen=True, eq=False)
+class JointCheck(ByContent):
     """The joint estimate beside the merged modes; NaN where it has no such mode.
 
     ``text`` says what it is, or why there is none; ``mac`` is between both shapes.

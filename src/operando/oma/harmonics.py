@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from operando.data import MappedSamples, pieces, row_statistics
+from operando.data.arrays import ByContent
 from operando.data.mapped import PIECE
 
 LEVELS = ((1, 30.0), (4, 14.0), (16, 9.0))
@@ -203,8 +204,8 @@ def _accepted(data: NDArray[Any], sampling_hz: float, hz: float, segments: int) 
     return line if line.kurtosis < MAX_KURTOSIS else None
 
 
-@dataclass(frozen=True)
-class Line:
+@dataclass(frozen=True, eq=False)
+class Line(ByContent):
     """A sinusoid followed through a record: mean frequency, phase samples (time, phase about ``centre_hz``), and how well it holds.
 
     ``share`` is the part of the envelope's power that one steady frequency explains.

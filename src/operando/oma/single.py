@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding, ModalModel, TimeRecord
 from operando.dof import match_dofs, parse_dofs
-from operando.errors import IdentificationError
+from operando.errors import DataError, IdentificationError
 from operando.oma.conditioning import Responses, at_suitable_rate, gather_responses
 from operando.oma.decay import DecayDiagram, decay_diagram, decay_findings, uncertain_decays
 from operando.oma.decay_detect import find_decays
@@ -90,6 +90,11 @@ class Identification:
         )
         keep = [i for i in range(estimate.hz.size) if i not in doubtful]
         stabilization = demote(stabilization, doubtful)
+        if not keep:
+            raise IdentificationError(
+                f"none of the {estimate.hz.size} candidates between {band[0]:g} and {band[1]:g} Hz is certain enough to be a mode",
+                hint="look at the spectra; measure longer, widen the band, or choose poles by hand with select_hz",
+            )
         opinion = None
         if options.second_opinion:
             std = None if estimate.covariance is None else np.sqrt(np.diag(estimate.covariance))[: estimate.hz.size][keep]
@@ -249,4 +254,7 @@ def reference_rows(references: object, responses: Responses) -> NDArray[np.int_]
     """Rows of the reference channels; all where none are named."""
     if references is None:
         return np.arange(len(responses.dofs))
-    return np.unique(match_dofs(parse_dofs(references), responses.dofs)[0])
+    rows = match_dofs(parse_dofs(references), responses.dofs)[0]
+    if not rows:
+        raise DataError(f"references {references!r:.60} names no DOF", hint="leave it out to take all sensors")
+    return np.unique(rows)

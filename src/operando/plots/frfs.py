@@ -75,7 +75,7 @@ def plot_frf(
     labels: Sequence[str] | None = None,
     noise: bool = False,
     difference: bool = False,
-    parts: Sequence[str] = PARTS,
+    parts: str | Sequence[str] = PARTS,
     legend: bool = True,
 ) -> Axes:
     """FRFs over one another: magnitude, phase, and coherence where there is one.
@@ -100,7 +100,7 @@ def plot_frf(
         Draw the standard deviation of the first pair drawn (of the first FRF), dotted.
     difference : bool
         Draw the size of the difference of the second FRF from the first, where they are on the same lines.
-    parts : sequence of {"magnitude", "phase", "coherence"}
+    parts : sequence of {"magnitude", "phase", "coherence"}, or one of them
         What is drawn, from the top.
     legend : bool
         Whether the curves are named.
@@ -113,7 +113,7 @@ def plot_frf(
     Raises
     ------
     DataError
-        If labels and FRFs differ in number, or a part is unknown.
+        If labels and FRFs differ in number, a part is unknown or none is named, or the band holds no lines.
     ObjectError
         If something else than FRFs is given.
     DofError
@@ -133,7 +133,13 @@ def plot_frf(
     words = [short_name(f.name) or ("" if len(given) == 1 else f"FRF {k}") for k, f in enumerate(given)] if labels is None else list(labels)
     if len(words) != len(given):
         raise DataError(f"{len(words)} labels for {len(given)} FRFs")
-    named = [p for p in parts if p != "coherence" or any(f.coherence is not None for f, _ in chosen)]
+    asked = [parts] if isinstance(parts, str) else list(parts)
+    named = [p for p in asked if p != "coherence" or any(f.coherence is not None for f, _ in chosen)]
+    if not named:
+        raise DataError("no part of the figure is named that can be drawn", hint=f"of {', '.join(PARTS)}; coherence where it is known")
+    seen = [f for f, _ in chosen if f.frequencies_hz[shown_lines(f, band)].size]
+    if not seen and band is not None:
+        chosen[0][0].band(*band)  # the error says where its lines are
     with style():
         places, own = places_of(axes, named)
         done = sum(not str(line.get_label()).startswith("_") for line in next(iter(places.values())).lines)
@@ -168,7 +174,7 @@ def plot_frf(
                 keep = thin(f, frf.coherence[i, j, part], 400)
                 color = GREEN if len(curves) == 1 and not done else look["color"]
                 places["coherence"].plot(f[keep], frf.coherence[i, j, part][keep], color=color, lw=0.8)
-        _dress(places, chosen[0][0], wanted, sizes, [f.frequencies_hz[shown_lines(f, band)] for f, _ in chosen], band)
+        _dress(places, chosen[0][0], wanted, sizes, [f.frequencies_hz[shown_lines(f, band)] for f in seen], band)
         top = next(iter(places.values()))
         _title(top, chosen, single, own or labels is None)
         if legend:

@@ -122,7 +122,8 @@ def plot_psd(
     DofError
         If a channel is not in the record.
     DataError
-        If the record is shorter than a block, or channels of different units are to be drawn into the same axes.
+        If the record is shorter than a block, the band holds nothing of it,
+        or channels of different units are to be drawn into the same axes.
 
     Examples
     --------
@@ -139,6 +140,7 @@ def plot_psd(
     from operando.quality import densities
 
     f, psd = densities(part, block_seconds)
+    _expect_lines(band, f[-1])
     with style():
         places = new_stack([1.0] * len(kinds), [q for q, _ in kinds], 9.0, 1.0 + 2.6 * len(kinds)) if axes is None else [axes]
         draw_densities(places, part.channels, f, psd, band)
@@ -173,7 +175,7 @@ def plot_force_spectra(
     Raises
     ------
     DataError
-        If the record has no force.
+        If the record has no force, the band holds nothing of it.
 
     Examples
     --------
@@ -194,6 +196,7 @@ def plot_force_spectra(
     hits = pulses(record)
     if not hits:
         return plot_psd(record.select(rows), axes, band=band, block_seconds=block_seconds)
+    _expect_lines(band, record.sampling_hz / 2)
     with style():
         axes = new_axes(9.0, 4.0) if axes is None else axes
         draw_force_spectra(axes, hits, record.channels[rows[0]], record.sampling_hz, band)
@@ -237,6 +240,12 @@ def plot_hits(record: TimeRecord, axes: Axes | None = None) -> Axes:
         axes = new_axes(9.0, 4.2) if axes is None else axes
         draw_hits(axes, hits, record.channels[record.force_indices[0]], record.sampling_hz)
     return axes
+
+
+def _expect_lines(band: tuple[float, float] | None, nyquist: float) -> None:
+    """Refuse a band in which a record holds nothing."""
+    if band is not None and not (ordered_band(band)[1] >= 0 and ordered_band(band)[0] < nyquist):
+        raise DataError(f"the band of {band[0]:g} to {band[1]:g} Hz holds no lines of the record, which reaches {nyquist:g} Hz")
 
 
 def draw_densities(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Geometry, ModalModel, count_of, direction_of, expect
+from operando.data.arrays import number_of
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.plots.mesh import Mesh, patches
@@ -249,6 +250,7 @@ class Drawn:
 
     def __init__(self, mesh: Mesh, shape: NDArray[Any], scale: float = 1.0) -> None:
         move = mesh.displacements(np.asarray(shape, float))
+        scale = number_of(scale, "scale", "1 is the usual size")
         self.mesh, self.size = mesh, LARGEST * scale * mesh.span
         self.peak = float(np.linalg.norm(move, axis=1).max(initial=0.0)) or 1.0
         main = np.linalg.svd(move, full_matrices=False)[2][0]

@@ -228,7 +228,7 @@ def short_name(name: str) -> str:
 
 def frequency_axis(axes: Axes, low: float, high: float, band: Sequence[float] | None = None, label: bool = True) -> None:
     """Limits, grid and words of a frequency axis; what lies outside the analysis band is shaded."""
-    axes.set_xlim(low, high)
+    axes.set_xlim((low, high) if high > low else (low - 0.5, low + 0.5))
     axes.grid(True)
     if band is not None:
         for a, b in ((low, band[0]), (band[1], high)):

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import TimeRecord, number_of
+from operando.data.arrays import ByContent
+from operando.errors import DataError
 from operando.frf import Hits, cross_spectra, hits_of
 
 SHOWN_CHANNELS = 8
@@ -26,8 +28,8 @@ BEFORE, AFTER = 0.6, 1.4
 """Part of a hit that is kept: so many durations of the pulse before and after its peak (its foot is at 1 % of the peak)."""
 
 
-@dataclass(frozen=True)
-class Pulse:
+@dataclass(frozen=True, eq=False)
+class Pulse(ByContent):
     """The force of one hit.
 
     Parameters
@@ -50,8 +52,8 @@ class Pulse:
     force: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Overview:
+@dataclass(frozen=True, eq=False)
+class Overview(ByContent):
     """What the report draws of one record.
 
     Parameters
@@ -146,7 +148,10 @@ def densities(record: TimeRecord, block_seconds: float | None = None) -> tuple[N
     if block_seconds is None:
         block = min(max(64, min(2 * LINES_A_BAND, 2 * n // (LEAST_AVERAGES + 1))), n)
     else:
-        block = int(number_of(block_seconds, "block_seconds", "give a positive number of seconds") * record.sampling_hz)
+        seconds = number_of(block_seconds, "block_seconds", "give a positive number of seconds")
+        block = int(seconds * record.sampling_hz)
+        if block < 2:
+            raise DataError(f"block_seconds = {seconds:g} holds no two samples at {record.sampling_hz:g} Hz", hint="give longer blocks")
     spectra = cross_spectra(record.data, [], list(range(record.data.shape[0])), record.sampling_hz, block)
     return spectra.frequencies_hz, spectra.response
 

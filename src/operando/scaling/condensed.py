@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.data.arrays import ByContent
 from operando.errors import IdentificationError
 
 KAPPA_LIMIT = 1e6
@@ -16,8 +17,8 @@ KAPPA_EXTRA = 30.0
 """Idle modes beyond the band join the basis only while κ stays below this."""
 
 
-@dataclass(frozen=True)
-class CondensedBasis:
+@dataclass(frozen=True, eq=False)
+class CondensedBasis(ByContent):
     """Idle modes that carry the condensed mass.
 
     Parameters

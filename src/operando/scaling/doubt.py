@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data.arrays import ByContent
 from operando.scaling.expansion import ORTHOGONALITY_NOISE, expand, participation_spread
 from operando.scaling.methods import Task, real_shapes
 
@@ -19,8 +20,8 @@ DIAGONAL = 3.0
 """Mean square of a diagonal element over that of an off-diagonal one, for a change at one place: E b⁴ over (E b²)² of normal values."""
 
 
-@dataclass(frozen=True)
-class ScaleDoubt:
+@dataclass(frozen=True, eq=False)
+class ScaleDoubt(ByContent):
     """Standard deviations (n,) of ln φ̂² of each operational mode from what may have changed.
 
     ``common`` is common to all modes, with its sign: a change of mass that goes with the change of stiffness the frequencies show; ``own``

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data.arrays import ByContent
 from operando.errors import IdentificationError
 
 DEFAULT_NOISE = 0.02
@@ -72,8 +73,8 @@ REMAINDERS = (0.0, 1.0, 3.0, 10.0, 30.0)
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class Trial:
+@dataclass(frozen=True, eq=False)
+class Trial(ByContent):
     """Log evidence of a width of the prior, with the best remainder and noise factor."""
 
     evidence: float
@@ -82,8 +83,8 @@ class Trial:
     noise_factor: float
 
 
-@dataclass(frozen=True)
-class Prior:
+@dataclass(frozen=True, eq=False)
+class Prior(ByContent):
     """Standard deviations that are held fixed while shapes vary."""
 
     participation: NDArray[np.float64]  # (n_idle, n_operating): of q, for operational shapes of unit length

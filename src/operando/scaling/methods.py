@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Finding
+from operando.data.arrays import ByContent
 from operando.errors import ConfigError, IdentificationError
 from operando.limits import METHODS
 from operando.scaling.expansion import Prior, expand, unit_size
@@ -120,8 +121,8 @@ def _root(matrix: Array, power: float) -> Array:
     return np.einsum("...ik,...k,...jk->...ij", vector, np.maximum(value, 1e-300) ** power, vector)
 
 
-@dataclass(frozen=True)
-class Task:
+@dataclass(frozen=True, eq=False)
+class Task(ByContent):
     """What is fixed while shapes vary: pairs, classes, basis."""
 
     partners: NDArray[np.int_]  # (n_operating,): idle index or −1

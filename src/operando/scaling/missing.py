@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, ModalModel
+from operando.data.arrays import ByContent
 from operando.errors import IdentificationError
 
 WHOLE = 0.5
@@ -21,8 +22,8 @@ BEYOND = 1.1
 """Such a mode is put beyond the band by this factor; its logarithm is the standard deviation, too."""
 
 
-@dataclass(frozen=True)
-class Missing:
+@dataclass(frozen=True, eq=False)
+class Missing(ByContent):
     """Modes beyond the band, at ``hz``, that stand for what was not found: ``mixture`` (n_idle, k) is the amount of each idle mode in each.
 
     ``idle_hz`` are the idle modes they are mostly made of.

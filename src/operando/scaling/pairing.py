@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.data.arrays import ByContent
 from operando.errors import ConfigError
 from operando.indicators import mac
 
@@ -48,8 +49,8 @@ class Pair:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Pairing:
+@dataclass(frozen=True, eq=False)
+class Pairing(ByContent):
     """All pairs, one an operational mode, in its order.
 
     Parameters

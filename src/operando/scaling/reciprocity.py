@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding
+from operando.data.arrays import ByContent
 from operando.scaling.expansion import DEFAULT_NOISE
 from operando.scaling.methods import real_shapes
 
@@ -25,8 +26,8 @@ LEAST_MODES = 2
 """A gyroscopic coupling turns at least two shapes."""
 
 
-@dataclass(frozen=True)
-class Complexity:
+@dataclass(frozen=True, eq=False)
+class Complexity(ByContent):
     """How complex each operational shape is, and how much of it symmetric damping or noise could explain.
 
     As the norm of the imaginary part over the norm of the shape, on the principal axis.

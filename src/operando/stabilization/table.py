@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Frf, Short, check_fields, counted, plots
+from operando.data.arrays import ByContent
 from operando.errors import DataError
 
 if TYPE_CHECKING:
@@ -46,8 +47,8 @@ class Tolerances:
             raise DataError(f"tolerances out of range: {self}", hint="frequency, damping, max_damping > 0 and 0 <= mac <= 1")
 
 
-@dataclass(frozen=True)
-class PoleTable:
+@dataclass(frozen=True, eq=False)
+class PoleTable(ByContent):
     """All poles of all model orders, one row a pole.
 
     Parameters

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Channel, StoredFile, StoredRow, TimeRecord, mapped, mapped_rows
+from operando.data.arrays import owned
 from operando.dof import Node
 from operando.errors import FormatError, UnitError
 from operando.io.quantities import Scale, code_quantity, find_spec, quantity_from_words, resolve, spec_dof
@@ -155,6 +156,7 @@ def _labelled(data: Any, rows: list[_Row], inventory: Inventory) -> TimeRecord:
         inventory.use(row.raw, row.header.title, note)
     channels = tuple(row.channel for row in rows)
     _note_duplicates(channels, inventory)
+    data = owned(data) if isinstance(data, np.ndarray) else data
     return TimeRecord(data, rows[0].sampling_hz, channels, rows[0].start_s, inventory.file, provenance=inventory.provenance)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel, check_fields
+from operando.data.arrays import ByContent
 from operando.errors import ConfigError
 from operando.units import engineering_unit
 
@@ -121,8 +122,8 @@ class Parameter:
         return _KNEE * max(abs(self.low or 0.0), abs(self.high or 0.0), 1e-300)
 
 
-@dataclass(frozen=True)
-class Quadratic:
+@dataclass(frozen=True, eq=False)
+class Quadratic(ByContent):
     """δZ(s) = M s² + C s + K over the place's coordinates followed by internal degrees of freedom."""
 
     mass: Array
