@@ -203,7 +203,8 @@ def _read_own_hdf5(path: str | Path) -> Content:
         if used:
             held[kind].append(obj)
             findings += getattr(obj, "findings", ())
-        note = "" if used else "no record, FRF, model or geometry"
+        what = "content read of a file: operando.load gives it" if kind is Content else "no record, FRF, model or geometry"
+        note = "" if used else what
         infos.append(SetInfo(i, 0, f"{name}: {kind.__name__}", "used" if used else "ignored", note))
     records, frfs, models = (tuple(held[kind]) for kind in (TimeRecord, Frf, ModalModel))
     geometry = next(iter(held[Geometry]), None)

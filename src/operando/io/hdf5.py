@@ -289,6 +289,8 @@ def _decode(tree: Any, stored: _Stored) -> Any:
     if "__floats__" in tree:
         numbers = _decode(tree["__floats__"], stored).tolist()
         return tuple(numbers) if tree.get("tuple") else numbers
+    if "__bytes__" in tree:
+        return _bytes_of(_decode(tree["__bytes__"], stored), stored)
     if "__float__" in tree:
         return float(tree["__float__"])
     if "__complex__" in tree:
@@ -310,6 +312,12 @@ def _array_of(tree: Any, stored: _Stored) -> np.ndarray:
     found[np.triu_indices(size)] = triangle
     np.copyto(found, found.T, where=np.tri(size, k=-1, dtype=bool))
     return found
+
+
+def _bytes_of(value: Any, stored: _Stored) -> bytes:
+    if not (isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.ndim == 1):
+        raise FormatError("bytes of the description are no row of bytes", where=stored.where, hint=_CHANGED)
+    return value.tobytes()
 
 
 def _class_named(text: str) -> Any:
