@@ -27,7 +27,7 @@ from operando.data import (
 )
 from operando.data.undriven import undriven_variance
 from operando.dof import Dof, match_dofs, named_dofs, parse_dofs
-from operando.errors import ConfigError, DataError
+from operando.errors import ConfigError, DataError, IdentificationError
 from operando.structure.effects import Effect, parse_effect, place_weights
 from operando.structure.eigenproblem import running_modes, with_spread
 from operando.structure.low_rank import update_variance, woodbury_core
@@ -237,11 +237,21 @@ class Model(Short):
         ----------
         variance : bool
             Fill ``std`` of frequencies and damping ratios, to first order in the idle parameters and the effects' values.
+
+        Raises
+        ------
+        IdentificationError
+            If the effects' dynamic stiffness is no finite number.
         """
         base = self._base()
         placed = [(e, place_weights(e, base, self.geometry)) for e in self._acting()]
         with one_blas_thread():
-            modes = running_modes(base, placed)
+            try:
+                modes = running_modes(base, placed)
+            except np.linalg.LinAlgError as error:
+                names = ", ".join(e.short for e, _ in placed)
+                text = f"the modes cannot be computed: {error}"
+                raise IdentificationError(text, where=names or None, hint="is the dynamic stiffness finite with these values?") from error
             if variance:
                 modes = with_spread(modes, base, placed, self._pole_changes(modes))
         shown = self._shown(modes, base)

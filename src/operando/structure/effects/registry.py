@@ -13,6 +13,7 @@ import numpy as np
 from operando.errors import ConfigError, OperandoError
 from operando.structure.effects import channels, hysteresis, level_dependent, linear, whole
 from operando.structure.effects.base import EffectKind
+from operando.structure.effects.returned import checked
 
 _KINDS: dict[str, EffectKind] = {}
 _ACTS = {
@@ -91,13 +92,13 @@ def is_own(definition: EffectKind) -> bool:
 
 
 def _guarded(definition: EffectKind, name: str) -> Callable[..., Any]:
-    """A method of the user's whose errors are told as such; numbers that cannot be are left to the fit."""
+    """A method of the user's whose errors, and results of another form, are named as such; numbers that cannot be are left to the fit."""
     method = getattr(definition, name)
 
     @functools.wraps(method)
     def called(*args: Any, **kwargs: Any) -> Any:
         try:
-            return method(*args, **kwargs)
+            found = method(*args, **kwargs)
         except (OperandoError, np.linalg.LinAlgError, OverflowError, MemoryError):
             raise
         except Exception as error:
@@ -109,6 +110,7 @@ def _guarded(definition: EffectKind, name: str) -> Callable[..., Any]:
                 where=where,
                 hint=f"correct it there; values has {known}",
             ) from error
+        return checked(definition, name, method, found, args, kwargs)
 
     return called
 
