@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 import measurements
-from operando import Effect, EffectKind, ModalModel, Model, Parameter, catalogue, load_test
+from operando import Effect, EffectKind, ModalModel, Model, Parameter, catalogue, load, load_test
 from operando.cli import main
-from operando.errors import ConfigError, IdentificationError
+from operando.errors import ConfigError, FormatError, IdentificationError
 from operando.own_effects import load_effects
 from operando.pipeline import run
 from operando.structure.effects import register, unregister
@@ -255,3 +255,19 @@ def test_a_force_has_the_shape_of_the_motion():
 def test_modes_with_numbers_that_cannot_be_name_the_effect():
     with pytest.raises(IdentificationError, match=r"bad_for_test at 1.Z.*the modes cannot be computed"):
         own_model("dynamic_stiffness", lambda s, values: s * np.nan).modes()
+
+
+def test_a_file_with_a_kind_that_is_not_registered_says_so_and_the_model_is_shown_all_the_same(tmp_path):
+    model = own_model("dynamic_stiffness", lambda s, values: values["stiffness"], removable=True)
+    removed = model.effects[0].with_values(stiffness=-5.0)
+    model.save(tmp_path / "m.h5")
+    kind = type(model.effects[0].definition)
+    unregister("bad_for_test")
+    assert "bad_for_test at 1+Z, stiffness 10000.0" in repr(model)
+    assert model._repr_html_()
+    assert str(removed) == "bad_for_test@1+Z=stiffness:5"
+    with pytest.raises(FormatError, match=r"unknown kind of effect 'bad_for_test'.*import the module that registers it") as refused:
+        load(tmp_path / "m.h5")
+    assert "damaged" not in str(refused.value)
+    register(kind)
+    assert load(tmp_path / "m.h5").effects == model.effects

@@ -26,7 +26,7 @@ import numpy as np
 from operando.atomic import replacing
 from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, check_fields, mapped, mapped_rows, pieces
 from operando.dof import Dof
-from operando.errors import FormatError, OperandoError
+from operando.errors import FormatError, OperandoError, UnknownKindError
 from operando.io.hdf5_tree import HASH, TREE, Target, encode, hash_of, write_dataset
 from operando.io.safe import check_growth, opened_hdf5, trust
 
@@ -351,6 +351,9 @@ def _decode_class(tree: dict[str, Any], stored: _Stored) -> Any:
     try:
         made = kind(**values) if make is None else make(values)
         check_fields(made)
+    except UnknownKindError as error:
+        hint = "a kind of your own must be registered before the file is read: import the module that registers it"
+        raise FormatError(f"holds an effect of a kind that is not known here: {error.message}", where=stored.where, hint=hint) from error
     except OperandoError as error:
         reason = f"cannot make {kind.__name__} from what the file holds: {error.message}"
         raise FormatError(reason, where=stored.where, hint="the file is damaged") from error  # not what a call of the class should give

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.errors import ConfigError, OperandoError
+from operando.errors import ConfigError, OperandoError, UnknownKindError
 from operando.structure.effects import channels, hysteresis, level_dependent, linear, whole
 from operando.structure.effects.base import EffectKind
 from operando.structure.effects.returned import checked
@@ -143,8 +143,8 @@ def kind_of(name: str) -> EffectKind:
         return _KINDS[name]
     near = get_close_matches(str(name), _KINDS, 1, 0.5)
     hint = (f"did you mean {near[0]!r}? " if near else "") + "kinds: " + ", ".join(sorted(_KINDS))
-    hint += "; a kind of your own is known once its file is named by --own FILE"
-    raise ConfigError(f"unknown kind of effect {name!r:.60}", hint=hint)
+    hint += "; a kind of your own is known once its module is imported, or named by --own FILE"
+    raise UnknownKindError(f"unknown kind of effect {name!r:.60}", hint=hint)
 
 
 for _room in (linear, whole, channels, level_dependent, hysteresis):
