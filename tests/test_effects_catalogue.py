@@ -219,6 +219,9 @@ def test_a_kind_of_the_users_own():
         ({"places": 0}, "takes no DOF"),
         ({"coordinates": "node", "places": 2}, "coordinates"),
         ({"parameters": (Parameter("a", "", 0.0, 1.0, "linear"),) * 2}, "two parameters"),
+        ({"parameters": ("a",)}, "expected a tuple of Parameter"),
+        ({"parameters": Parameter("a", "", 0.0, 1.0, "linear")}, "expected a tuple of Parameter"),
+        ({"constants": "a"}, "the constants of bad_for_test are 'a'"),
     ],
 )
 def test_a_kind_that_cannot_work_is_refused_at_once(changes, says):
@@ -226,6 +229,22 @@ def test_a_kind_that_cannot_work_is_refused_at_once(changes, says):
     with pytest.raises(ConfigError, match=says):
         register(type("Bad", (EffectKind,), body))
     assert "bad_for_test" not in catalogue()
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (("a b,", "", 1.0, 2.0), "give one word"),
+        (("", "", 1.0, 2.0), "give one word"),
+        (("a", "", 2.0, 1.0), "the bounds 2 and 1"),
+        (("a", "", 0.0, 1.0), "lower bound 0 on a logarithmic scale"),
+        (("a", "", -1.0, 1.0, "log"), "lower bound -1 on a logarithmic scale"),
+        (("a", "", 1.0, 2.0, "log", 3.0), "the default of a is 3, expected 1 to 2"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused(given, says):
+    with pytest.raises(ConfigError, match=says):
+        Parameter(*given)
 
 
 def test_parameters_know_their_scale():

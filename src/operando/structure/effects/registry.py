@@ -12,7 +12,7 @@ import numpy as np
 
 from operando.errors import ConfigError, OperandoError, UnknownKindError
 from operando.structure.effects import channels, hysteresis, level_dependent, linear, whole
-from operando.structure.effects.base import EffectKind
+from operando.structure.effects.base import EffectKind, Parameter
 from operando.structure.effects.returned import checked
 
 _KINDS: dict[str, EffectKind] = {}
@@ -74,6 +74,10 @@ def register(kind: type[EffectKind]) -> type[EffectKind]:
         raise ConfigError(f"{kind.kind} adds stiffness but takes no DOF")
     if kind.coordinates not in ("difference", "separate", "node") or (kind.coordinates == "node" and kind.places != 1):
         raise ConfigError(f"coordinates of {kind.kind} cannot be {kind.coordinates!r} on {kind.places} DOFs")
+    for what, given in (("parameters", kind.parameters), ("constants", kind.constants)):
+        if not (isinstance(given, tuple | list) and all(isinstance(p, Parameter) for p in given)):
+            hint = 'as in parameters = (Parameter("stiffness", "N/m", 1.0, 1e9, "log", 1e4),)'
+            raise ConfigError(f"the {what} of {kind.kind} are {given!r:.60}, expected a tuple of Parameter", hint=hint)
     names = [p.name for p in (*kind.parameters, *kind.constants)]
     if len(set(names)) != len(names):
         raise ConfigError(f"{kind.kind} has two parameters of one name")
