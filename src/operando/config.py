@@ -224,7 +224,7 @@ class Test:
         out = []
         for text in self.analysis.hits_reject:
             file, _, number = text.rpartition("#")
-            name = record_named(file, labels, self.where("analysis", "hits_reject"))
+            name = record_named(file, labels, self.where("analysis", "hits_reject"), f"#{number}")
             if name in mine:
                 out.append(f"{name}#{int(number)}")
         return tuple(dict.fromkeys(out))
