@@ -146,8 +146,12 @@ class Model(Short):
                 raise ConfigError(f"{effect.kind} has no parameter {name!r}", hint=f"it has {known}")
             p = effect.definition.parameter(name)
             low, high = 0.0 if p.low is None else p.low, np.inf if p.high is None else p.high
-            if not low <= value <= high:
-                raise ConfigError(f"{name} of {effect.kind} cannot be {value:g} {p.unit}", hint=f"it lies between {low:g} and {high:g}")
+            number = np.asarray(value)
+            if number.ndim or number.dtype.kind not in "biuf":
+                hint = "give one number" + (f" [{p.unit}]" if p.unit else "")
+                raise ConfigError(f"{name} of {effect.kind} is {value!r:.60}", hint=hint)
+            if not low <= number <= high:
+                raise ConfigError(f"{name} of {effect.kind} cannot be {number:g} {p.unit}", hint=f"it lies between {low:g} and {high:g}")
         covariance = self.covariance
         if covariance is not None:
             first = len(covariance) - sum(len(e.definition.parameters) for e in self.effects[step - 1 :])

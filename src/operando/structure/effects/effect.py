@@ -10,7 +10,7 @@ import numpy as np
 
 from operando.data import check_fields, listed, numbers_of, positive_band
 from operando.dof import Dof, parse_dofs
-from operando.errors import ConfigError, UnknownKindError
+from operando.errors import ConfigError, OperandoError, UnknownKindError
 from operando.indicators import INTERVAL
 from operando.structure.effects.base import EffectKind
 from operando.structure.effects.registry import kind_of
@@ -128,6 +128,9 @@ class Effect:
             definition.parameter(name)
             if std < 0:
                 raise ConfigError(f"the standard deviation of {name} of {self.kind} is {std:g}", hint="give one of at least 0")
+
+    def __hash__(self) -> int:
+        return hash((self.kind, self.location, self.position, self.direction, self.removed, frozenset(self.values.items())))
 
     @property
     def definition(self) -> EffectKind:
@@ -248,7 +251,23 @@ class Effect:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
-        """The effect of a JSON object made by :meth:`to_dict`."""
+        """The effect of a JSON object made by :meth:`to_dict`.
+
+        Raises
+        ------
+        ConfigError
+            If it is none.
+        """
+        try:
+            return cls._from_dict(data)
+        except OperandoError:
+            raise
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            hint = 'give what Effect.to_dict gives, as {"kind": "point_mass", "location": ["3+Z"], "parameters": {"mass": {"value": 0.2}}}'
+            raise ConfigError(f"{data!r:.200} describes no effect ({type(error).__name__}: {error})", hint=hint) from error
+
+    @classmethod
+    def _from_dict(cls, data: Mapping[str, Any]) -> Effect:
         values, std = {}, {}
         for name, entry in data.get("parameters", {}).items():
             value = entry["value"]
