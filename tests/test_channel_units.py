@@ -11,7 +11,7 @@ import pytest
 
 import operando
 from operando.data import Channel, TimeRecord, mapped
-from operando.errors import DataError, UnitError
+from operando.errors import ConfigError, DataError, UnitError
 from operando.io import from_sep005, make_record
 from operando.units import G_STANDARD
 
@@ -145,3 +145,57 @@ def test_a_unit_tells_the_quantity_and_none_is_no_unit() -> None:
 def test_labels_instead_of_channels_are_refused() -> None:
     with pytest.raises(DataError, match=r"write operando\.Channel"):
         TimeRecord(np.zeros((3, 5)), 100.0, "1+X")  # type: ignore[arg-type]
+
+
+def saved(folder: Path, kind: str, name: str = "run") -> Path:
+    """A file of a format with a record and, in the same folder, one with an FRF; both state units."""
+    record().save(folder / f"{name}.{kind}")
+    operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z").save(folder / f"frf.{kind}")
+    return folder / f"{name}.{kind}"
+
+
+@pytest.mark.parametrize("kind", ["uff", "csv", "h5", "mat"])
+def test_entries_for_no_channel_and_units_of_another_quantity_are_refused(tmp_path: Path, kind: str) -> None:
+    run = saved(tmp_path, kind)
+    for path in (run, tmp_path / f"frf.{kind}", tmp_path / f"*.{kind}"):
+        with pytest.raises(ConfigError, match="'nonsense' names no channel"):
+            operando.read(path, channels={"nonsense": {"unit": "g"}})
+        with pytest.raises(UnitError, match="'N' is a unit of force, not of acceleration"):
+            operando.read(path, units={"acceleration": "N"})
+        with pytest.raises(ConfigError, match="acceleration is 3, expected a unit"):
+            operando.read(path, units={"acceleration": 3})
+        with pytest.raises(ConfigError, match="2\\+X is 3, expected a dict"):
+            operando.read(path, channels={"2+X": 3})  # type: ignore[dict-item]
+    if kind != "h5":
+        with pytest.raises(ConfigError, match="did you mean '2\\+X'"):
+            operando.read(run, channels={"2+Y": {"unit": "g"}})
+        with pytest.raises(ConfigError, match="sensitivity 'a' is no number"):
+            operando.read(run, channels={"2+X": {"sensitivity": "a"}})
+        both = operando.read(tmp_path / f"*.{kind}", channels={"7+Z": {"dof": "8+Z"}})  # of one file of the two
+        assert [str(d) for d in both.frfs[0].responses] == ["8+Z"]
+
+
+@pytest.mark.parametrize("kind", ["uff", "csv", "h5", "mat"])
+def test_a_unit_that_the_file_takes_the_place_of_is_named(tmp_path: Path, kind: str) -> None:
+    run = saved(tmp_path, kind)
+    for path, of in ((run, "2+X"), (tmp_path / f"frf.{kind}", "")):
+        found = [f for f in operando.read(path, units={"acceleration": "g", "force": "N", "length": "m"}).findings if "unit" in f.kind]
+        assert [f.kind for f in found] == ["unused_unit"]
+        assert f'acceleration = "g" is not used for {of}' in found[0].message
+        assert "states m/s2" in found[0].message
+        assert not operando.read(path, units={"acceleration": "m/s^2"}).findings
+
+
+def test_a_length_that_a_unit_set_takes_the_place_of_is_named(tmp_path: Path) -> None:
+    operando.Geometry((1, 2), [[0, 0, 0], [1, 0, 0]]).save(tmp_path / "a.uff")
+    (told,) = operando.read(tmp_path / "a.uff", units={"length": "mm"}).findings
+    assert (told.kind, 'length = "mm" is not used for the geometry' in told.message) == ("unused_unit", True)
+
+
+def test_entries_for_no_channel_of_several_files_are_refused(tmp_path: Path) -> None:
+    run = saved(tmp_path, "csv")
+    with pytest.raises(ConfigError, match="'nonsense' names no channel"):
+        operando.io.inspect_files([run], channels={"nonsense": {"unit": "g"}})
+    assert operando.io.inspect_files([run, tmp_path / "frf.csv"], channels={"7+Z": {"unit": "g"}})["files"][0]["error"] is None
+    with pytest.raises(ConfigError, match="did you mean 'accel'"):
+        from_sep005({"data": np.arange(9.0), "name": "accel", "unit_str": "g", "fs": 8.0}, channels={"acel": {"unit": "g"}})

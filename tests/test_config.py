@@ -134,7 +134,7 @@ def test_every_setting_has_a_check(folder, name):
         ('["idle/*.uff"]', '[{file = "idle/run2.uff", start_s = "7 s"}]', "expected a time in s", None),
         ('["idle/*.uff"]', '[{file = "idle/run3.uff", start_s = 7}]', "matches no file", "relative to"),
         ("overlap = 0.5", 'hits_reject = ["idle/run2.uff"]', "names no hit", "FILE#NUMBER"),
-        ("overlap = 0.5", 'hits_reject = ["idle/run3.uff#0"]', "no record of [idle] or [check]", "'idle/run2.uff'"),
+        ("overlap = 0.5", 'hits_reject = ["idle/run3.uff#0"]', "no record of [idle] or [check]", "'idle/run2.uff#0'"),
         ("overlap = 0.5", 'hits_reject = ["operating/run.uff#0"]', "no record of [idle] or [check]", None),
     ],
 )

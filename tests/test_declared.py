@@ -34,7 +34,7 @@ OBJECTS = [
     MOTION, RECORD, IDLE, FRF, MASS, MADE, MADE.hybrid, operando.Dof(1, "Z"), operando.CheckRun("run 1", "", FRF),
     Geometry((1, 2), np.eye(3)[:2], ((1, 2),)), operando.Finding("overload", "3 samples"), operando.FrequencyAxis([1.0, 2.0]),
     operando.ResidualTerms([2.0], [0.01], [[0.1]]), operando.ModalCoupling(np.zeros((2, 2)), np.zeros((2, 2))),
-    operando.Parameter("gap", "m", 1e-6, 1e-2), operando.Model(IDLE, (MASS,)), operando.compare(IDLE, FRF), operando.compare(IDLE, IDLE),
+    operando.Parameter("gap", "m", 1e-6, 1.0), operando.Model(IDLE, (MASS,)), operando.compare(IDLE, FRF), operando.compare(IDLE, IDLE),
     operando.Diagnosis("no_misfit", (), (), None, (), (), {}, None), operando.Content("run1.uff", "uff"),
 ]  # fmt: skip
 

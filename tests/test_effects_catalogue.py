@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,6 +153,7 @@ def test_the_contracts_examples_read():
         ("point_mass@3+Z=mass:0", "must be positive"),
         ("point_mass@3+Z=mass:nan", "must be positive"),
         ("tuned_absorber@3+Z=mass:1,frequency:-5", "must be positive"),
+        ("point_mass@3+Z=mass:1,mass:2", "mass of point_mass is given twice"),
         ("point_mass@", "is no effect"),
         ("point_mass@3+Z=", "is no effect"),
         ("sensor_gain@0,0,0:+Z", "without a sensor"),
@@ -219,6 +221,9 @@ def test_a_kind_of_the_users_own():
         ({"places": 0}, "takes no DOF"),
         ({"coordinates": "node", "places": 2}, "coordinates"),
         ({"parameters": (Parameter("a", "", 0.0, 1.0, "linear"),) * 2}, "two parameters"),
+        ({"parameters": ("a",)}, "expected a tuple of Parameter"),
+        ({"parameters": Parameter("a", "", 0.0, 1.0, "linear")}, "expected a tuple of Parameter"),
+        ({"constants": "a"}, "the constants of bad_for_test are 'a'"),
     ],
 )
 def test_a_kind_that_cannot_work_is_refused_at_once(changes, says):
@@ -226,6 +231,22 @@ def test_a_kind_that_cannot_work_is_refused_at_once(changes, says):
     with pytest.raises(ConfigError, match=says):
         register(type("Bad", (EffectKind,), body))
     assert "bad_for_test" not in catalogue()
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (("a b,", "", 1.0, 2.0), "give one word"),
+        (("", "", 1.0, 2.0), "give one word"),
+        (("a", "", 2.0, 1.0), "the bounds 2 and 1"),
+        (("a", "", 0.0, 1.0), "lower bound 0 on a logarithmic scale"),
+        (("a", "", -1.0, 1.0, "log"), "lower bound -1 on a logarithmic scale"),
+        (("a", "", 1.0, 2.0, "log", 3.0), "the default of a is 3, expected 1 to 2"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused(given, says):
+    with pytest.raises(ConfigError, match=says):
+        Parameter(*given)
 
 
 def test_parameters_know_their_scale():
@@ -255,3 +276,16 @@ def test_parameters_know_their_scale():
 )
 def test_sizes_in_the_test_that_would_confirm_an_effect_have_units_as_written(text, words):
     assert words in parse_effect(text).confirm
+
+
+def test_equal_effects_are_one_in_a_set():
+    text = "tuned_absorber@3+Z=mass:2,frequency:30"
+    one, same, other = parse_effect(text), parse_effect(text).with_std({"mass": 0.1}), parse_effect("harmonic_excitation=frequencies:5;6")
+    assert {one, parse_effect(text), replace(other)} == {one, other}
+    assert hash(one) == hash(parse_effect(text)) == hash(same)
+
+
+@pytest.mark.parametrize("data", [{}, {"kind": "point_mass", "parameters": {"mass": 3}}, {"kind": "point_mass", "parameters": 3}, 3, None])
+def test_what_describes_no_effect_is_refused(data):
+    with pytest.raises(ConfigError, match="describes no effect"):
+        Effect.from_dict(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from operando.frf import (
     reciprocity_error,
 )
 from operando.frf.cut_off import LEAST, cut_off_modes
+from operando.frf.hits import rejected_numbers
 from operando.frf.impact import REMAINING, impact_blocks
 from structures import Chain
 from test_frf_estimate import FS, make_record, relative, sampled_accelerance, simulate
@@ -394,3 +396,13 @@ def test_bookcase_column_zero_is_inverted():
     h = np.load(SHARED / "data" / "bookcase" / "frf.npz")["data"]
     frf = Frf(h.T[:, None, :], np.arange(h.shape[0]) / 16, [f"{n}-Y" for n in range(9)], ["8-Y"])
     assert [(x.kind, x.dof) for x in check_frf(frf).findings] == [("inverted", "0-Y")]
+
+
+@pytest.mark.parametrize("wrong", ["run7.uff#1", "run1.uff", "run1.uff#", "run1.uff#x", "run7.uff#9", "#1", "quiet.uff", "run1.uff#7"])
+def test_the_hint_about_a_hit_that_is_not_there_names_one_that_is(wrong):
+    files, counts = ["run1.uff", "quiet.uff"], [3, 0]
+    with pytest.raises(DataError, match="hits_reject names") as refused:
+        rejected_numbers(files, counts, [wrong])
+    named = re.findall(r"[\w.]+#\d+", refused.value.hint)
+    assert named
+    rejected_numbers(files, counts, named)

@@ -7,10 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from operando import load
 from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof
 from operando.errors import DataError, FormatError
-from operando.io import read_hdf5, read_objects, write_hdf5
+from operando.io import read, read_hdf5, read_objects, write_hdf5, write_uff
 from operando.io.hdf5_tree import PACKED_FROM
 from operando.stabilization import PoleTable, RejectedPole, Stabilization
 
@@ -67,6 +68,7 @@ def samples():
         "d": [],
         "e": {},
         "f": tuple(np.arange(40.0).tolist()),
+        "g": [b"", b"\0-1\xff", bytes(range(256)) * 40],
     }
     return {"record": record, "frf": frf, "model": model, "geometry": geometry, "plain": plain}
 
@@ -171,6 +173,27 @@ def test_files_of_earlier_versions_are_read(tmp_path, version):
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file.attrs["schema"] = f"operando/hdf5/{version}"
     assert equal(read_hdf5(tmp_path / "a.h5")["a"], np.ones(3))
+
+
+@pytest.mark.parametrize("tree", ['{"__array__": "x"}', '"abc"', "[1, 2]", '{"__bytes__": {"__array__": "y"}}'])
+def test_bytes_are_read_from_bytes_only(tmp_path, tree):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        group = file.create_group("a")
+        group["__tree__"] = f'{{"__bytes__": {tree}}}'
+        group["x"], group["y"] = np.ones(3), np.ones(3, np.uint8)
+    with pytest.raises(FormatError, match="no row of bytes"):
+        read_hdf5(tmp_path / "a.h5")
+
+
+def test_what_was_read_of_a_uff_file_can_be_kept(tmp_path):
+    write_uff(tmp_path / "a.uff", samples()["record"])
+    written = (tmp_path / "a.uff").read_bytes()
+    (tmp_path / "a.uff").write_bytes(written + b"    -1\n  9999\nnot known\n    -1\n")
+    found = read(tmp_path / "a.uff")
+    assert any(s.raw and s.status != "used" for s in found.sets)
+    found.save(tmp_path / "a.h5")
+    assert load(tmp_path / "a.h5").sets == found.sets
+    assert "operando.load" in read(tmp_path / "a.h5").sets[0].note
 
 
 def test_an_array_named_again_and_again_does_not_fill_the_memory(tmp_path):

@@ -382,3 +382,9 @@ def test_a_checker_sees_the_types(tmp_path):
         'user.py:10: error: Module has no attribute "nonsense"',
     ):
         assert words in told, told
+
+
+def test_a_model_with_no_effect_applied_says_so():
+    from operando.diagnosis import Applied
+
+    assert repr(Applied(operando.Model(modal()), (), (), ())) == "<Applied: no effect>"

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import shutil
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import measurements
-from operando import catalogue, load_test
+from operando import Effect, EffectKind, ModalModel, Model, Parameter, catalogue, load, load_test
 from operando.cli import main
-from operando.errors import ConfigError
+from operando.errors import ConfigError, FormatError, IdentificationError
 from operando.own_effects import load_effects
 from operando.pipeline import run
-from operando.structure.effects import unregister
+from operando.structure.effects import register, unregister
 
 pytestmark = pytest.mark.usefixtures("own_kinds_gone")
 
@@ -205,3 +206,68 @@ def test_the_picture_shows_the_play():
     rows = [line.split("|")[1] for line in call("effects", "clearance").stdout.splitlines() if "|" in line]
     assert rows[0].strip() == "**"
     assert "*" * 15 in rows[5]  # no force within the play
+
+
+def own_model(method, gives, **attributes):
+    """Two modes with an effect of an own kind, of which one method gives what is stated."""
+    own = {"kind": "bad_for_test", "plain": "bad", "parameters": (Parameter("stiffness", "N/m", 1.0, 1e9, "log", 1e4),)}
+    own["dynamic_stiffness"] = lambda self, s, values: values["stiffness"] * np.ones_like(s)
+    kind = register(type("Bad", (EffectKind,), own | attributes | {method: lambda self, *given: gives(*given)}))
+    idle = ModalModel([20.0, 45.0], [0.01, 0.02], [[1, 1], [1, -1]], "1+Z, 2+Z", "unit_modal_mass")
+    return Model(idle, (Effect("bad_for_test", "1+Z" if kind.places else ()),))
+
+
+@pytest.mark.parametrize(
+    ("method", "attributes", "due"),
+    [
+        ("dynamic_stiffness", {}, "numbers of shape"),
+        ("matrix", {}, "numbers of shape"),
+        ("quadratic", {}, "a Quadratic of three"),
+        ("sensor_map", {"acts": "sensor_map", "group": "sensor"}, "numbers of shape"),
+        ("modal_change", {"acts": "modal_change", "places": 0}, "a ModalModel"),
+        ("explain", {}, "a text"),
+    ],
+)
+@pytest.mark.parametrize("wrong", [np.ones(7), b"abc", {}, [[1, 2], [3]], None])
+def test_what_a_method_of_ones_own_returns_is_checked(method, attributes, due, wrong):
+    if wrong is None and method == "quadratic":
+        return  # there is no such form: allowed
+    model = own_model(method, lambda *given: wrong, **attributes)
+    with pytest.raises(ConfigError, match=f"{method} of bad_for_test, a kind of your own, returned .* expected {due}") as refused:
+        model.modes() if method != "explain" else model.effects[0].explanation
+    assert __file__ in refused.value.where
+
+
+def test_one_number_is_the_same_at_every_frequency():
+    constant, written_out = (
+        own_model("dynamic_stiffness", gives) for gives in (lambda s, v: v["stiffness"], lambda s, v: v["stiffness"] + 0 * s)
+    )
+    assert np.array_equal(constant.modes().frequencies_hz, written_out.modes().frequencies_hz)
+    assert np.array_equal(constant.frf([5.0, 30.0]).data, written_out.frf([5.0, 30.0]).data)
+
+
+def test_a_force_has_the_shape_of_the_motion():
+    model = own_model("pseudo_force", lambda x, v, values: x[:3], acts="pseudo_force", level_dependent=True)
+    with pytest.raises(ConfigError, match=r"pseudo_force of bad_for_test, .*shape \(3,\), expected numbers of shape \(8,\)"):
+        model.effects[0].definition.over_steps(np.ones(8), np.ones(8), {"stiffness": 1.0}, 0.1)
+
+
+def test_modes_with_numbers_that_cannot_be_name_the_effect():
+    with pytest.raises(IdentificationError, match=r"bad_for_test at 1.Z.*the modes cannot be computed"):
+        own_model("dynamic_stiffness", lambda s, values: s * np.nan).modes()
+
+
+def test_a_file_with_a_kind_that_is_not_registered_says_so_and_the_model_is_shown_all_the_same(tmp_path):
+    model = own_model("dynamic_stiffness", lambda s, values: values["stiffness"], removable=True)
+    removed = model.effects[0].with_values(stiffness=-5.0)
+    model.save(tmp_path / "m.h5")
+    kind = type(model.effects[0].definition)
+    unregister("bad_for_test")
+    assert "bad_for_test at 1+Z, stiffness 10000.0" in repr(model)
+    assert model._repr_html_()
+    assert str(removed) == "bad_for_test@1+Z=stiffness:5"
+    with pytest.raises(FormatError, match=r"unknown kind of effect 'bad_for_test'.*import the module that registers it") as refused:
+        load(tmp_path / "m.h5")
+    assert "damaged" not in str(refused.value)
+    register(kind)
+    assert load(tmp_path / "m.h5").effects == model.effects

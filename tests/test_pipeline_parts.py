@@ -182,22 +182,6 @@ def test_what_depends_on_unread_files_is_not_run_and_only_the_cause_is_stated(tm
     assert len(results.check) == 1
 
 
-def test_a_unit_that_the_file_takes_the_place_of_is_named():
-    from types import SimpleNamespace
-
-    from operando.pipeline.names import unused_units
-
-    kept = runs((5.0, 0))  # states N and m/s2
-    records = [replace(r, channels=tuple(replace(c, source_unit=c.unit) for c in r.channels)) for r in kept]
-    test = SimpleNamespace(units={"acceleration": "g", "force": "N", "sampling_hz": 512.0, "length": "mm"}, channels={})
-    (told,) = unused_units(test, records)
-    assert (told.kind, told.severity) == ("unused_unit", "warning")
-    assert 'acceleration = "g" is not used' in told.message
-    assert "states m/s2" in told.message
-    silent = [replace(r, channels=tuple(replace(c, source_unit="g") for c in r.channels)) for r in kept]
-    assert not unused_units(test, silent)
-
-
 def test_what_two_validation_runs_say_unlike_names_its_level():
     from operando.pipeline.stages.check import of_check
     from operando.results import CheckRun

@@ -22,12 +22,15 @@ from operando.diagnosis import Diagnosis, RecordsApplied, RecordsDiagnosis
 from operando.diagnosis.records import Detection
 from operando.dof import Dof
 from operando.errors import FormatError
+from operando.io.content import SetInfo
 from operando.store import load_results
 
 HZ = np.arange(5.0, 80.0, 0.1)
 MADE = results()
 SPRING = operando.Effect("ground_spring", "2+Z", {"stiffness": 2e4}, {"stiffness": 100.0}, band_hz=(5.0, 80.0))
 ROWS = ({"step": 0, "misfit": np.inf, "heldout_error_db": None}, {"step": 1, "misfit": float("nan"), "added": SPRING.to_dict()})
+
+SETS = (SetInfo(0, 164, "units", "used", "", bytes(range(256)) * 40), SetInfo(1, 9999, "?", "not understood", "", b"-1\n\0"))
 
 
 def idle() -> ModalModel:
@@ -141,7 +144,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "ModelComparison": lambda: operando.compare(plain(), plain()),
     "Results": lambda: MADE,
     "CheckRun": lambda: MADE.check[0],
-    "Content": lambda: operando.Content("run1.uff", "uff", (record(),), (plain().frf(HZ),), (idle(),), drawn()),
+    "Content": lambda: operando.Content("run1.uff", "uff", (record(),), (plain().frf(HZ),), (idle(),), drawn(), SETS),
     "Model": lambda: operando.Model(plain(), (SPRING, operando.Effect("point_mass", "1+Z", {"mass": -0.1}))),
     "Diagnosis": diagnosed,
     "Diagnosis by hand": lambda: by_hand(Diagnosis),

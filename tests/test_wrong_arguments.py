@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ NOISE = np.random.default_rng(0).standard_normal((2, 2000))
 RECORD = operando.TimeRecord(NOISE, 256.0, [FORCE, MOTION])
 BOTH = [MOTION, operando.Channel("2+Z", "acceleration", "m/s2")]
 MOVED = operando.TimeRecord(NOISE, 256.0, BOTH)
+MASSIVE = operando.Model(IDLE).add("point_mass@1+Z=mass:0.2")
+TEST = operando.load_test(Path(__file__).parents[1] / "data" / "example" / "test.toml")
 
 
 @pytest.mark.parametrize(
@@ -83,6 +86,13 @@ MOVED = operando.TimeRecord(NOISE, 256.0, BOTH)
         (lambda: MOVED.plot_psd(band=(10,)), "is no pair of frequencies"),
         (lambda: MOVED.plot_psd(block_seconds=np.nan), "is not one finite number"),
         (lambda: plots.plot_nyquist(FRF, band=5), "is no pair of frequencies"),
+        (lambda: MASSIVE.with_values(1, mass="2"), "mass of point_mass is '2'"),
+        (lambda: MASSIVE.with_values(1, mass=[1, 2]), "mass of point_mass is [1, 2]"),
+        (lambda: MASSIVE.with_values(1, mass=None), "mass of point_mass is None"),
+        (lambda: MASSIVE.with_values(1, mass=np.nan), "mass of point_mass cannot be nan kg"),
+        (lambda: operando.run(TEST, progress=3), "progress is 3, which cannot be called"),
+        (lambda: operando.load_test(TEST.path, [3]), "changes are [3]"),
+        (lambda: operando.load_test(TEST.path, "analysis.band=[1,2]"), "changes are 'analysis.band=[1,2]'"),
         (lambda: operando.Model(IDLE, geometry="frame.uff"), "effects stand on a geometry, not str"),
         (lambda: operando.diagnose(IDLE, check=FRF, geometry="frame.uff"), "effects stand on a geometry, not str"),
         (lambda: operando.diagnose(IDLE, check=FRF, operating="run1.uff"), "operating takes operational modes, not str"),

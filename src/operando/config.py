@@ -224,7 +224,7 @@ class Test:
         out = []
         for text in self.analysis.hits_reject:
             file, _, number = text.rpartition("#")
-            name = record_named(file, labels, self.where("analysis", "hits_reject"))
+            name = record_named(file, labels, self.where("analysis", "hits_reject"), f"#{number}")
             if name in mine:
                 out.append(f"{name}#{int(number)}")
         return tuple(dict.fromkeys(out))
@@ -283,6 +283,8 @@ def parse_text(text: str, path: Path, changes: Sequence[str] = ()) -> Test:
     """Test of the text of a test file that lies, or would lie, at ``path``; see :func:`load_test`."""
     table = toml_table(text, path, lambda: _not_a_test(path))
     given = lines_of(text)
+    if isinstance(changes, str) or not all(isinstance(change, str) for change in changes):
+        raise ConfigError(f"changes are {changes!r:.200}", hint='give a list of texts, as ["analysis.band=[5,220]"]')
     for change in changes:
         given[_apply(table, change)] = "--set"
     return parse_test(table, path, given)

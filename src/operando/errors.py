@@ -55,6 +55,10 @@ class ConfigError(OperandoError, ValueError):
     """A test file or an option is wrong."""
 
 
+class UnknownKindError(ConfigError):
+    """A kind of effect is not in the catalogue."""
+
+
 class IdentificationError(OperandoError):
     """An estimation cannot be made from these data."""
 

@@ -130,8 +130,8 @@ def _span(entry: Record, where: Entry) -> Span | None:
     return None if start is None and stop is None else Span(start, stop)
 
 
-def record_named(name: str, labels: Iterable[str], where: str) -> str:
-    """The record meant by a name: its label, or its file name alone where that is enough."""
+def record_named(name: str, labels: Iterable[str], where: str, rest: str = "") -> str:
+    """The record meant by a name: its label, or its file name alone where that is enough. ``rest`` is what is written after the name."""
     labels = sorted(labels)
     clean = name.removeprefix("./")
     if clean in labels:
@@ -143,5 +143,5 @@ def record_named(name: str, labels: Iterable[str], where: str) -> str:
     raise ConfigError(
         f"{name!r} is no record of [idle] or [check]" if not alike else f"{name!r} may be any of {', '.join(alike)}",
         where=where,
-        hint=f"did you mean {near[0]!r}?" if near else None,
+        hint=f"did you mean {near[0] + rest!r}?" if near else None,
     )

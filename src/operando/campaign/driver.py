@@ -23,6 +23,7 @@ from operando.errors import ConfigError, OperandoError
 from operando.jsonable import jsonable
 from operando.pipeline.folder import HIDDEN
 from operando.pipeline.lock import exclusive
+from operando.pipeline.runner import check_progress
 from operando.threads import cores
 
 Progress = Callable[[str], None]
@@ -72,6 +73,7 @@ def run_campaign(
     """
     if not isinstance(campaign, Campaign):
         campaign = load_campaign(campaign)
+    check_progress(progress)
     workers = campaign.workers
     if processes is not None:
         workers = Workers(processes=processes)

@@ -26,6 +26,7 @@ def inspect(files: tuple[str, ...], changes: tuple[str, ...]) -> Answer:
     """
     from operando.errors import FormatError
     from operando.io import inspect_files
+    from operando.io.quantities import Asked
 
     paths: list[str | Path] = list(files)
     units: Any = None
@@ -34,7 +35,7 @@ def inspect(files: tuple[str, ...], changes: tuple[str, ...]) -> Answer:
     if len(files) == 1 and files[0].endswith(".toml"):
         test = read_test(files[0], changes)
         length = {} if test.geometry_units is None else {"length": test.geometry_units}
-        paths, units, channels = list(test.files), (length | dict(test.units)) or None, test.channels or None
+        paths, units, channels = list(test.files), (length | dict(test.units)) or None, Asked(test.channels)
         wrong = _names_no_file_has(test)
     elif changes:
         raise click.UsageError("--set belongs to a test file, and none is named")

@@ -50,7 +50,7 @@ class Applied(Short):
         errors = [row.get("heldout_error_db") for row in self.ladder]
         known = len(errors) > 1 and errors[0] is not None and errors[-1] is not None
         return {
-            "Effects": " + ".join(e.short for e in self.effects),
+            "Effects": " + ".join(e.short for e in self.effects) or "no effect",
             "Validation": f"{errors[0]:.2f} dB before, {errors[-1]:.2f} dB after on the hold-out set" if known else "",
         }
 

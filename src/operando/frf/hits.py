@@ -335,11 +335,12 @@ def rejected_numbers(names: Sequence[str], counts: Sequence[int], hits_reject: I
     for text in hits_reject:
         name, _, number = text.rpartition("#")
         if name not in totals or not number.isdigit():
-            near = difflib.get_close_matches(name, totals, 1, 0.3)
-            raise DataError(
-                f"hits_reject names {text!r}, which is no hit of these records",
-                hint=f"did you mean {near[0]!r}?" if near else "write FILE#NUMBER",
-            )
+            hammer = [known for known, count in totals.items() if count]
+            near = difflib.get_close_matches(name or text, hammer, 1, 0.3) or hammer[:1]
+            hint = f"write {near[0]}#0 to {near[0]}#{totals[near[0]] - 1}" if near else "none of the records has hits of a hammer"
+            if near and number.isdigit() and int(number) < totals[near[0]]:
+                hint = f"did you mean '{near[0]}#{number}'?"
+            raise DataError(f"hits_reject names {text!r}, which is no hit of these records", hint=hint)
         if int(number) >= totals[name]:
             many = f"which has hits #0 to #{totals[name] - 1}" if totals[name] else "which is no hammer record"
             raise DataError(

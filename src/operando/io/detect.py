@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import importlib
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from operando.data import Finding
 from operando.errors import FormatError, MissingError
 from operando.files import natural_order
 from operando.io.content import Content, SetInfo
-from operando.io.quantities import ChannelSpecs, Units, check_stated
+from operando.io.quantities import Asked, ChannelSpecs, Silent, Units, check_stated, note_unused
 from operando.paths import path_of
 
 READERS = {
@@ -131,7 +132,7 @@ def read(
     MissingError
         If there is no such file.
     UnitError, ConfigError
-        If ``units`` or ``channels`` hold something that is not known.
+        If ``units`` or ``channels`` hold something that is not known, or ``channels`` an entry that no file has a channel for.
 
     Examples
     --------
@@ -146,14 +147,27 @@ def read(
         path, "a file is read from its path", "a pattern as 'idle/*.uff' reads several files; for arrays there are TimeRecord and Frf"
     )
     check_stated(units, channels)
-    if is_pattern(path):
-        return _read_all(str(path), units, channels)
-    kind = detect_format(path)
-    if kind not in READERS:
-        return _read_own_hdf5(path)
-    module, name = READERS[kind]
-    content: Content = getattr(importlib.import_module(module), name)(path, units=units, channels=channels)
+    asked = channels if isinstance(channels, Asked) else Asked(channels)  # who hands over an Asked looks himself what was found
+    content = _read_all(str(path), units, asked) if is_pattern(path) else _read_one(path, Silent(units), asked)
+    if asked is not channels:
+        asked.check(str(path))
     return content
+
+
+def _read_one(path: Path, units: Silent, channels: Asked) -> Content:
+    kind = detect_format(path)
+    if kind in READERS:
+        module, name = READERS[kind]
+        content: Content = getattr(importlib.import_module(module), name)(path, units=units, channels=channels)
+    else:
+        from operando.io.variables import note_unused_si
+
+        content = _read_own_hdf5(path)
+        for frf in (frf for frf in content.frfs if frf.si):
+            note_unused_si(units, frf.quantity, frf.name or "the FRFs")
+        for channel in (c for record in content.records for c in record.channels if c.unit):
+            note_unused(units, channel.quantity, channel.source_unit or channel.unit, 1.0, channel.label)
+    return replace(content, findings=tuple(dict.fromkeys((*content.findings, *units.findings(str(path))))))
 
 
 def is_pattern(path: str | Path) -> bool:
@@ -161,7 +175,7 @@ def is_pattern(path: str | Path) -> bool:
     return any(mark in str(path) for mark in "*?[") and not Path(path).exists()
 
 
-def _read_all(pattern: str, units: Units | None, channels: ChannelSpecs | None) -> Content:
+def _read_all(pattern: str, units: Units | None, channels: Asked) -> Content:
     """The content of all files that a pattern matches, as one."""
     files = sorted((p for p in map(Path, glob.glob(pattern, recursive=True)) if p.is_file()), key=natural_order)
     if not files:
@@ -203,7 +217,8 @@ def _read_own_hdf5(path: str | Path) -> Content:
         if used:
             held[kind].append(obj)
             findings += getattr(obj, "findings", ())
-        note = "" if used else "no record, FRF, model or geometry"
+        what = "content read of a file: operando.load gives it" if kind is Content else "no record, FRF, model or geometry"
+        note = "" if used else what
         infos.append(SetInfo(i, 0, f"{name}: {kind.__name__}", "used" if used else "ignored", note))
     records, frfs, models = (tuple(held[kind]) for kind in (TimeRecord, Frf, ModalModel))
     geometry = next(iter(held[Geometry]), None)

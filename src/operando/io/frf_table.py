@@ -16,7 +16,7 @@ from operando.dof import Dof
 from operando.errors import DofError, FormatError, UnitError
 from operando.io.columns import complex_lines
 from operando.io.content import Content, SetInfo
-from operando.io.quantities import ChannelSpecs, Units, split_ratio
+from operando.io.quantities import ChannelSpecs, Units, note_unused, split_ratio
 from operando.io.uff.reader import provenance_of
 from operando.io.variables import RESPONSES, Source, make_frf
 from operando.units import parse_unit
@@ -132,6 +132,8 @@ def _scaled_frf(data: NDArray[np.complex128], frequencies: NDArray[np.float64], 
     if quantity is None:
         hint = "expected acceleration, velocity or displacement over force"
         raise FormatError(f"{text!r} is no unit of an FRF", where=str(path), hint=hint)
+    note_unused(units, kind, ratio[0], above, path.name)
+    note_unused(units, "force", ratio[1], below, path.name)
     with np.errstate(over="ignore", invalid="ignore"):  # pairs that were not measured are NaN
         data = data * (above / below)
     return make_frf(data, frequencies, path.name, source, names, responses, references, quantity, True, coherence)

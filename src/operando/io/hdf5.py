@@ -27,7 +27,7 @@ from operando.atomic import replacing
 from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, check_fields, mapped, mapped_rows, pieces
 from operando.data.arrays import owned
 from operando.dof import Dof
-from operando.errors import FormatError, OperandoError
+from operando.errors import FormatError, OperandoError, UnknownKindError
 from operando.io.hdf5_tree import HASH, TREE, Target, encode, hash_of, write_dataset
 from operando.io.safe import check_growth, opened_hdf5, trust
 
@@ -290,6 +290,8 @@ def _decode(tree: Any, stored: _Stored) -> Any:
     if "__floats__" in tree:
         numbers = _decode(tree["__floats__"], stored).tolist()
         return tuple(numbers) if tree.get("tuple") else numbers
+    if "__bytes__" in tree:
+        return _bytes_of(_decode(tree["__bytes__"], stored), stored)
     if "__float__" in tree:
         return float(tree["__float__"])
     if "__complex__" in tree:
@@ -311,6 +313,12 @@ def _array_of(tree: Any, stored: _Stored) -> np.ndarray:
     found[np.triu_indices(size)] = triangle
     np.copyto(found, found.T, where=np.tri(size, k=-1, dtype=bool))
     return found
+
+
+def _bytes_of(value: Any, stored: _Stored) -> bytes:
+    if not (isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.ndim == 1):
+        raise FormatError("bytes of the description are no row of bytes", where=stored.where, hint=_CHANGED)
+    return value.tobytes()
 
 
 def _class_named(text: str) -> Any:
@@ -344,6 +352,9 @@ def _decode_class(tree: dict[str, Any], stored: _Stored) -> Any:
     try:
         made = kind(**values) if make is None else make(values)
         check_fields(made)
+    except UnknownKindError as error:
+        hint = "a kind of your own must be registered before the file is read: import the module that registers it"
+        raise FormatError(f"holds an effect of a kind that is not known here: {error.message}", where=stored.where, hint=hint) from error
     except OperandoError as error:
         reason = f"cannot make {kind.__name__} from what the file holds: {error.message}"
         raise FormatError(reason, where=stored.where, hint="the file is damaged") from error  # not what a call of the class should give

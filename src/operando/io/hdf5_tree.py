@@ -106,6 +106,8 @@ def encode(value: Any, target: Target, path: str) -> Any:
         return str(value)
     if isinstance(value, np.ndarray | MappedSamples):
         return _encode_array(np.asarray(value), target, path)
+    if isinstance(value, bytes):
+        return {"__bytes__": _encode_array(np.frombuffer(value, np.uint8), target, path)}
     if isinstance(value, tuple | list):
         return _encode_sequence(value, target, path)
     if isinstance(value, Mapping):

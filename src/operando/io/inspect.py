@@ -12,7 +12,7 @@ from operando.data import Finding, Frf, Geometry, ModalModel, TimeRecord, counte
 from operando.errors import OperandoError
 from operando.io.content import Content
 from operando.io.detect import read
-from operando.io.quantities import ChannelSpecs, Units
+from operando.io.quantities import Asked, ChannelSpecs, Units
 
 SCHEMA = "operando/inspect/1"
 DAMAGE = ("truncated", "unknown_set", "outside_sets")
@@ -50,9 +50,10 @@ def inspect_files(paths: Iterable[str | Path], units: Units | None = None, chann
     findings: list[Finding] = []
     geometry = False
     dofs: dict[str, None] = {}
+    asked = channels if isinstance(channels, Asked) else Asked(channels)
     for path in paths:
         try:
-            content = read(path, units=units, channels=channels)
+            content = read(path, units=units, channels=asked)
         except OperandoError as error:
             finding = Finding(
                 "unreadable", error.message, "error", str(path), consequence="nothing of this file is used", action=error.hint or ""
@@ -68,6 +69,8 @@ def inspect_files(paths: Iterable[str | Path], units: Units | None = None, chann
             dofs |= dict.fromkeys(str(record.channels[i].dof) for i in record.response_indices)
         for frf in content.frfs:
             dofs |= dict.fromkeys(str(d) for d in frf.responses)
+    if asked is not channels and not any(entry["error"] for entry in files):
+        asked.check(", ".join(str(entry["path"]) for entry in files))
     missing = [] if geometry or not dofs else ["no geometry: shapes are not drawn on the structure"]
     return {
         "schema": SCHEMA,

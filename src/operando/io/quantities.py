@@ -7,16 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
-from math import isfinite
+from math import isclose, isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding
+from operando.data import Finding, names_text
 from operando.data.frf import ROUNDING
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError, UnitError
+from operando.printable import first_few
 from operando.units import SI_UNIT, UFF_QUANTITIES, parse_unit
 
 Units = Mapping[str, Any]
@@ -48,10 +49,76 @@ def check_stated(units: Any, channels: Any) -> None:
         if value is not None and not isinstance(value, Mapping):
             raise ConfigError(f"{what} is {value!r:.60}", hint=f"give a dict, as {example}")
     known = (*SI_UNIT, *_BESIDE)
-    for key in set(units or ()).difference(known):
-        near = get_close_matches(str(key), known, 1, 0.5)
-        hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
-        raise ConfigError(f"unknown key {key!r:.60}", where="units", hint=hint)
+    for key, value in (units or {}).items():
+        if key not in known:
+            near = get_close_matches(str(key), known, 1, 0.5)
+            hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
+            raise ConfigError(f"unknown key {key!r:.60}", where="units", hint=hint)
+        if (key in SI_UNIT or key == "length") and value not in (None, ""):
+            if not isinstance(value, str):
+                raise ConfigError(f"{key} is {value!r:.60}, expected a unit", where="units", hint='give a text, as {"acceleration": "g"}')
+            try:
+                _unit_of(value, key)
+            except UnitError as error:
+                raise UnitError(error.message, where=f"units {key}", hint=error.hint) from None
+    for key, spec in (channels or {}).items():
+        if not isinstance(spec, Mapping):
+            raise ConfigError(f"{key} is {spec!r:.60}, expected a dict", where="channels", hint='as {"dof": "12+Z", "unit": "g"}')
+        _checked(key, spec)
+
+
+class Asked(dict[str, Mapping[str, Any]]):
+    """[channels], which remembers what was looked for in it, and the entries that were found so: a file had a channel for them."""
+
+    def __init__(self, channels: ChannelSpecs | None) -> None:
+        super().__init__(channels or {})
+        self.asked: set[str] = set()
+        self.found: set[str] = set()
+
+    def __getitem__(self, key: str) -> Mapping[str, Any]:
+        self.found.add(key)
+        return super().__getitem__(key)
+
+    def check(self, where: str) -> None:
+        """Refuse an entry that no channel was found for."""
+        for key in self:
+            if key not in self.found:
+                near = get_close_matches(str(key), self.asked, 1, 0.5)
+                known = "known: " + first_few(sorted(self.asked), 12)
+                hint = f"did you mean {near[0]!r}?" if near else known
+                if not self.asked:
+                    hint = "nothing there takes an entry; an .h5 file of operando keeps what its channels are"
+                raise ConfigError(f"channels: {key!r:.60} names no channel", where=where, hint=hint)
+
+
+class Silent(dict[str, Any]):
+    """[units], which remembers the entries that were not used: quantity, entry, unit of the file → names of what has that."""
+
+    def __init__(self, units: Units | None) -> None:
+        super().__init__(units or {})
+        self.unused: dict[tuple[str, str, str], dict[str, None]] = {}
+
+    def findings(self, file: str) -> list[Finding]:
+        """One finding for each entry that another unit in the file takes the place of."""
+        return [
+            Finding(
+                "unused_unit", f'[units] {quantity} = "{entry}" is not used for {names_text(names)}: the file states {stated}', file=file,
+                consequence="the unit of the file counts; [units] is for what a file does not say",
+                action="where the file is wrong give the unit of the channel, in [channels]; else leave the entry out",
+            )
+            for (quantity, entry, stated), names in self.unused.items()
+        ]  # fmt: skip
+
+
+def note_unused(units: Units | None, quantity: str, stated: str, factor: float, name: str) -> None:
+    """Note the entry of [units] for a quantity that a file states another unit for; ``name`` is what has that unit."""
+    entry = str((units or {}).get(quantity) or "")
+    if entry and isinstance(units, Silent) and not isclose(_unit_of(entry, quantity), factor, rel_tol=1e-6):
+        units.unused.setdefault((quantity, entry, stated), {})[name] = None
+
+
+def _unit_of(entry: str, quantity: str) -> float:
+    return parse_unit(entry, "displacement" if quantity == "length" else quantity)[1]
 
 
 @dataclass(frozen=True)
@@ -132,11 +199,12 @@ def resolve(
     spec: Mapping[str, Any] | None = None,
     system: UnitSystem | None = None,
     exponents: tuple[int, int, int] = (0, 0, 0),
+    name: str = "",
 ) -> Scale:
     """Decide quantity and SI factor of some numbers.
 
     What [channels] says (``spec``) comes first, then the unit text of the file, then the unit set 164 of the file (``system``, with the
-    exponents of length, force and temperature of the axis), then [units].
+    exponents of length, force and temperature of the axis), then [units]. ``name`` is what the numbers are of, for findings.
     """
     spec = spec or {}
     problem = ""
@@ -150,12 +218,14 @@ def resolve(
     if text:
         try:
             found, factor = parse_unit(text, "pressure" if quantity == "stress" else quantity)
+            note_unused(units, found, text, factor, name)
             return _sensed(Scale(found, SI_UNIT[found], factor, text, "label"), spec)
         except UnitError as error:
             problem = error.message
     powers = (exponents[0], exponents[1]) if any(exponents[:2]) else _POWERS.get(quantity)
     if system is not None and powers is not None and not text:
         factor = system.length ** -powers[0] * system.force ** -powers[1]
+        note_unused(units, quantity, system.description or "its own units", factor, name)
         return _sensed(Scale(quantity, SI_UNIT[quantity], factor, system.description, "unit set 164", problem), spec)
     given = None if units is None else units.get(quantity)
     if given and not (text and not problem):
@@ -169,9 +239,13 @@ def _sensed(scale: Scale, spec: Mapping[str, Any]) -> Scale:
     sensitivity = spec.get("sensitivity")
     if sensitivity is None:
         return scale
-    value = float(sensitivity)
+    try:
+        value = float(sensitivity)
+    except (TypeError, ValueError):
+        value = 0.0
     if not value or not isfinite(value):
-        raise ConfigError(f"sensitivity {sensitivity!r} is no number to divide by", where="[channels]")
+        hint = "give the numbers of the file per unit, as 0.1"
+        raise ConfigError(f"sensitivity {sensitivity!r:.60} is no number to divide by", where="[channels]", hint=hint)
     return replace(scale, factor=scale.factor / value)
 
 
@@ -188,6 +262,8 @@ def find_spec(channels: ChannelSpecs | None, name: str, dof: Dof | None, is_forc
         keys += [f"{label}:force" for label in labels] if is_force else list(labels)
     if position is not None:
         keys.append(f"ch{position + 1}")
+    if isinstance(channels, Asked):
+        channels.asked.update(keys)
     for key in keys:
         if key in channels:
             return _checked(key, channels[key])

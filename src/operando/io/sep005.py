@@ -13,7 +13,7 @@ from operando.data.arrays import owned
 from operando.data.mapped import scaled_rows
 from operando.dof import Dof
 from operando.errors import DataError, DofError
-from operando.io.quantities import ChannelSpecs, Units, find_spec, quantity_from_words, resolve, spec_dof
+from operando.io.quantities import Asked, ChannelSpecs, Units, check_stated, find_spec, quantity_from_words, resolve, spec_dof
 from operando.io.uff.increments import even_step, tidy_rate
 from operando.units import SI_UNIT
 
@@ -50,10 +50,7 @@ def make_record(
             reason = str(spec.get("reason") or "no reason given")
             findings.append(Finding("excluded", f"channel {name} excluded by [channels]: {reason}", "info", source or None, i, name))
             continue
-        try:
-            scale = resolve("unknown" if text and not spec.get("quantity") else quantity, text, units, spec)
-        except ValueError as error:
-            raise DataError(str(error)) from error
+        scale = resolve("unknown" if text and not spec.get("quantity") else quantity, text, units, spec, name=str(dof or name))
         if not scale.known and scale.quantity == "unknown" and quantity != "unknown":
             scale = resolve(quantity, "", units, spec)
         if not scale.known:
@@ -143,6 +140,7 @@ def from_sep005(
     if not isinstance(measurement, Mapping | Sequence) or isinstance(measurement, str | bytes):
         raise DataError(f"{type(measurement).__name__} is no SEP005 measurement", hint="a dict, or a list of dicts, one a channel")
     items = [measurement] if isinstance(measurement, Mapping) else list(measurement)
+    check_stated(units, channels)
     if not items:
         raise DataError("the SEP005 measurement holds no channel")
     rows, names, texts, rates, starts = [], [], [], [], []
@@ -161,7 +159,10 @@ def from_sep005(
             f"the channels have {sorted({r.size for r in rows})} samples at {sorted(set(rates))} Hz",
             hint="one record holds channels of one rate and length: make one for each",
         )
-    return make_record(np.stack(rows), rates[0], names, texts, start_s=starts[0], units=units, channels=channels, source=name)
+    asked = Asked(channels)
+    record = make_record(np.stack(rows), rates[0], names, texts, start_s=starts[0], units=units, channels=asked, source=name)
+    asked.check(name)
+    return record
 
 
 def _rate(item: Mapping[str, Any], samples: int, i: int) -> tuple[float, float]:

@@ -16,11 +16,22 @@ from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError, FormatError, UnitError
 from operando.io.columns import NoLines, NoRate
 from operando.io.content import Content, SetInfo
-from operando.io.quantities import ChannelSpecs, Units, find_spec, possible_coherence, resolve, spec_dof, stated_hz, stated_rate
+from operando.io.quantities import (
+    ChannelSpecs,
+    Units,
+    find_spec,
+    note_unused,
+    possible_coherence,
+    resolve,
+    spec_dof,
+    stated_hz,
+    stated_rate,
+)  # fmt: skip
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import even_step, tidy_rate
 from operando.io.uff.reader import provenance_of
 from operando.printable import first_few
+from operando.units import SI_UNIT
 
 _RATE = re.compile(r"^(fs|f_s|freq|sampling_?(hz|freq\w*|rate)|sample_?rate|srate|sf|rate|fsamp)$", re.IGNORECASE)
 _STEP = re.compile(r"^(dt|delta_?t|ts|time_?step|inc|increment)$", re.IGNORECASE)
@@ -320,8 +331,16 @@ def _frf(value: NDArray[Any], named: tuple[int, int, int] | None, variable: Vari
     references = _stated_dofs(variable, source.variables, "references", table.shape[1])
     stated = texts_named(source.variables, re.compile("^quantity$")).get(variable.home, [""])[0]
     si = stated in QUANTITIES and _flag(variable, source.arrays, "si")
+    if si:
+        note_unused_si(source.units, stated, variable.path)
     names = [""] * len(table) if len(table) > 1 else [variable.name]
     return make_frf(table, frequencies, variable.path, source, names, responses, references, stated, si)
+
+
+def note_unused_si(units: Units | None, quantity: str, name: str) -> None:
+    """Note the entries of [units] for motion and force of FRFs that a file holds in SI."""
+    for part in (RESPONSES.get(quantity, ""), "force"):
+        note_unused(units, part, SI_UNIT.get(part, ""), 1.0, name)
 
 
 def make_frf(table: NDArray[Any], frequencies: NDArray[Any], title: str, source: Source, names: Sequence[str],

@@ -116,10 +116,11 @@ def check_records(folder: str, results: Results) -> list[TimeRecord]:
     """The check's records, read again from the files that the check FRFs were made of."""
     from operando.data import file_hash
     from operando.io import read
+    from operando.io.quantities import Asked
     from operando.quality import check_record
 
     hint = "run `operando run test.toml` again where the files are"
-    units, channels = results.settings.get("units") or None, results.settings.get("channels") or None
+    units, channels = results.settings.get("units") or None, Asked(results.settings.get("channels"))
     out = []
     for path, sha in dict.fromkeys(pair for run in results.check for pair in run.frf.provenance.inputs):
         if not Path(path).is_file():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,25 +11,14 @@ from typing import Any
 from operando.config import Span, State, Test
 from operando.data import Finding, Frf, Geometry, MappedSamples, TimeRecord, file_hash, group_findings
 from operando.errors import DataError, MissingError, OperandoError
-from operando.pipeline.names import Names, UnfitTest, blamed, check_geometry, check_names, names_of, unused_units
+from operando.io.quantities import Asked
+from operando.pipeline.names import Names, UnfitTest, blamed, check_geometry, check_names, names_of
 
 KEEP_BYTES = 1_500_000_000
 """Records held in memory between stages; beyond, files are read again."""
 
 SHOWN_RECORDS = 6
 """Records of a state whose look is kept for the report: as many rows as a screen shows."""
-
-
-class _Asked(dict[str, dict[str, Any]]):
-    """[channels], which remembers the entries that a file had a channel for."""
-
-    def __init__(self, channels: Mapping[str, dict[str, Any]]) -> None:
-        super().__init__(channels)
-        self.found: set[str] = set()
-
-    def __getitem__(self, key: str) -> dict[str, Any]:
-        self.found.add(key)
-        return super().__getitem__(key)
 
 
 class Inputs:
@@ -43,7 +32,7 @@ class Inputs:
         self.findings: dict[Path, list[Finding]] = {}
         self._contents: dict[tuple[Path, Span | None], Any] = {}
         self._hashes: dict[Path, str] = {}
-        self._channels = _Asked(test.channels)
+        self._channels = Asked(test.channels)
         self._names: dict[Path, Names] = {}
         self.raw: list[Any] = []
 
@@ -68,7 +57,7 @@ class Inputs:
         from operando.quality import check_record
 
         try:
-            content = read(file, units=self._units(file), channels=self._channels or None)
+            content = read(file, units=self._units(file), channels=self._channels)
         except OperandoError as error:
             if (fault := blamed(self.test, file, self._units(file), error)) is not None:
                 raise fault from None
@@ -81,7 +70,6 @@ class Inputs:
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
         found = [
             *content.findings,
-            *unused_units(self.test, records),
             *(f for r in records for f in r.findings),
             *(f for h in content.frfs for f in h.findings),
         ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from operando.config import Test
-from operando.data import Finding, Geometry, TimeRecord, names_text
+from operando.data import Finding, Geometry
 from operando.dof import Dof, split_node
 from operando.errors import ConfigError, OperandoError
 from operando.limits import LEAST_LINES, LOWER, UPPER
 from operando.printable import first_few
-from operando.units import parse_unit
 from operando.values import nearest
 
 HAND_NAMED = ("modes_hz", "select_hz", "reject_hz")
@@ -92,46 +90,19 @@ def names_of(content: Any) -> Names:
     return Names(frozenset(labels), frozenset(measured), frozenset(forces), frozenset(responses), tuple(lines))
 
 
-def unused_units(test: Test, records: Sequence[TimeRecord]) -> list[Finding]:
-    """One finding for each entry of [units] that another unit in the file takes the place of."""
-    by_channel = {spec["unit"] for spec in test.channels.values() if spec.get("unit")}
-    found = []
-    for quantity, entry in test.units.items():
-        stated: dict[str, list[str]] = {}
-        for channel in (c for record in records for c in record.channels if c.quantity == quantity and c.unit):
-            if channel.source_unit not in by_channel and _factor(channel.source_unit, quantity) not in (None, _factor(entry, quantity)):
-                stated.setdefault(channel.source_unit, []).append(channel.label)
-        for unit, labels in stated.items():
-            found.append(
-                Finding(
-                    "unused_unit",
-                    f'[units] {quantity} = "{entry}" is not used for {names_text(dict.fromkeys(labels))}: the file states {unit}',
-                    "warning",
-                    consequence="the unit of the file counts; [units] is for what a file does not say",
-                    action="where the file is wrong give the unit of the channel, in [channels]; else leave the entry out",
-                )
-            )
-    return found
-
-
-def _factor(unit: object, quantity: str) -> float | None:
-    with suppress(OperandoError):
-        return parse_unit(str(unit), quantity)[1]
-    return None
-
-
 def blamed(test: Test, file: Path, units: dict[str, Any] | None, error: OperandoError) -> UnfitTest | None:
     """The error for an entry of [units] or [channels] without which a file can be read; None where the file itself is at fault."""
     from operando.io import read
+    from operando.io.quantities import Asked
 
-    def readable(**given: Any) -> bool:
+    def readable(units: Any = None, channels: Any = None) -> bool:
         try:
-            read(file, **given)
+            read(file, units=units, channels=Asked(channels))
         except OperandoError:
             return False
         return True
 
-    if not (units or test.channels) or not readable(units=None, channels=None):
+    if not (units or test.channels) or not readable():
         return None
     for section, table in (("channels", test.channels), ("units", test.units)):
         for key, value in table.items():

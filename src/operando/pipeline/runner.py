@@ -86,11 +86,18 @@ def run(
         test = load_test(path_of(test, "a test is run from its test file", "give the path of test.toml, or load_test(path)"))
     if until is not None and until not in STAGES:
         raise ConfigError(f"unknown stage {until!r}", where="until", hint="stages: " + ", ".join(STAGES))
+    check_progress(progress)
     out = default_folder(test.name) if out is None else path_of(out, "results go into a folder")
     results_go_to(out)
     with results_folder(out, "run", make=True) as folder:
         folder.came_from(test.path, progress)
         return run_in(folder, test, until, progress, report)[0]
+
+
+def check_progress(progress: object) -> None:
+    """Refuse what cannot be called with the progress of a run."""
+    if progress is not None and not callable(progress):
+        raise ConfigError(f"progress is {progress!r:.60}, which cannot be called", hint="give a function of what is said, as print")
 
 
 def run_in(

@@ -27,7 +27,7 @@ from operando.data import (
 )
 from operando.data.undriven import undriven_variance
 from operando.dof import Dof, match_dofs, named_dofs, parse_dofs
-from operando.errors import ConfigError, DataError
+from operando.errors import ConfigError, DataError, IdentificationError
 from operando.structure.effects import Effect, parse_effect, place_weights
 from operando.structure.eigenproblem import running_modes, with_spread
 from operando.structure.low_rank import update_variance, woodbury_core
@@ -146,8 +146,12 @@ class Model(Short):
                 raise ConfigError(f"{effect.kind} has no parameter {name!r}", hint=f"it has {known}")
             p = effect.definition.parameter(name)
             low, high = 0.0 if p.low is None else p.low, np.inf if p.high is None else p.high
-            if not low <= value <= high:
-                raise ConfigError(f"{name} of {effect.kind} cannot be {value:g} {p.unit}", hint=f"it lies between {low:g} and {high:g}")
+            number = np.asarray(value)
+            if number.ndim or number.dtype.kind not in "biuf":
+                hint = "give one number" + (f" [{p.unit}]" if p.unit else "")
+                raise ConfigError(f"{name} of {effect.kind} is {value!r:.60}", hint=hint)
+            if not low <= number <= high:
+                raise ConfigError(f"{name} of {effect.kind} cannot be {number:g} {p.unit}", hint=f"it lies between {low:g} and {high:g}")
         covariance = self.covariance
         if covariance is not None:
             first = len(covariance) - sum(len(e.definition.parameters) for e in self.effects[step - 1 :])
@@ -237,11 +241,21 @@ class Model(Short):
         ----------
         variance : bool
             Fill ``std`` of frequencies and damping ratios, to first order in the idle parameters and the effects' values.
+
+        Raises
+        ------
+        IdentificationError
+            If the effects' dynamic stiffness is no finite number.
         """
         base = self._base()
         placed = [(e, place_weights(e, base, self.geometry)) for e in self._acting()]
         with one_blas_thread():
-            modes = running_modes(base, placed)
+            try:
+                modes = running_modes(base, placed)
+            except np.linalg.LinAlgError as error:
+                names = ", ".join(e.short for e, _ in placed)
+                text = f"the modes cannot be computed: {error}"
+                raise IdentificationError(text, where=names or None, hint="is the dynamic stiffness finite with these values?") from error
             if variance:
                 modes = with_spread(modes, base, placed, self._pole_changes(modes))
         shown = self._shown(modes, base)

@@ -141,8 +141,8 @@ def _scales(raw: RawSet, header: Header58, spec: Any, reference_spec: Any, inven
     if bottom == "unknown":
         # A function of type 4 without a denominator: by far the most programs mean a force.
         bottom = "unknown" if below else ("moment" if header.reference is not None and header.reference.axis.startswith("R") else "force")
-    numerator = resolve(top, text, inventory.units, spec, system, header.ordinate.exponents)
-    denominator = resolve(bottom, below, inventory.units, reference_spec, system, header.denominator.exponents)
+    numerator = resolve(top, text, inventory.units, spec, system, header.ordinate.exponents, header.title)
+    denominator = resolve(bottom, below, inventory.units, reference_spec, system, header.denominator.exponents, header.title)
     quantity = _NUMERATORS.get(numerator.quantity)
     if numerator.quantity == "unknown" or denominator.quantity == "unknown":
         quantity = quantity or "accelerance"

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from operando.data import Appearance, CoordinateSystem, Geometry
-from operando.io.quantities import Scale, resolve
+from operando.io.quantities import Scale, note_unused, resolve
 from operando.io.uff.inventory import Inventory
 from operando.io.uff.nodes import ElementSet, NodeSet, read_elements, read_nodes, read_traces
 from operando.io.uff.split import RawSet
@@ -78,7 +78,10 @@ def _geometry(found: _Found, inventory: Inventory) -> Geometry:
 def _length(raw: RawSet, inventory: Inventory) -> Scale:
     units = inventory.units
     given = units.get("length") or units.get("coordinates") or units.get("geometry")
-    return resolve("displacement", "", {"displacement": given} if given else None, None, inventory.system_at(raw.index), (1, 0, 0))
+    scale = resolve("displacement", "", {"displacement": given} if given else None, None, inventory.system_at(raw.index), (1, 0, 0))
+    if scale.origin != "[units]":
+        note_unused(units, "length", scale.source_unit or "its own units", scale.factor, "the geometry")
+    return scale
 
 
 def _add_systems(raw: RawSet, found: _Found, inventory: Inventory) -> None:

@@ -69,8 +69,8 @@ def _row(raw: RawSet, position: int, inventory: Inventory) -> _Row | None:
         return None
     if stated == "unknown" and not header.ordinate.unit:
         stated = quantity_from_words(header.ordinate.label)
-    scale = resolve(stated, header.ordinate.unit, inventory.units, spec, inventory.system_at(raw.index), header.ordinate.exponents)
-    label = str(dof) if dof is not None else header.name
+    label, system = str(dof) if dof is not None else header.name, inventory.system_at(raw.index)
+    scale = resolve(stated, header.ordinate.unit, inventory.units, spec, system, header.ordinate.exponents, label)
     if scale.problem:
         inventory.note(
             "unit_conflict", f"set {raw.index}: {scale.problem}", raw, label, action="say the unit in [channels] of the test file"

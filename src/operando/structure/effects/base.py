@@ -37,9 +37,14 @@ class Parameter:
     transform : {"log", "linear", "signed_log"}
         Scale on which a search moves.
     default : float or None
-        Start where nothing better is known; None stands for the centre of the band [Hz].
+        Start within the bounds where nothing better is known; None stands for the centre of the band [Hz].
     plain : str
         What it is, in words.
+
+    Raises
+    ------
+    ConfigError
+        If the name is not one word, or bounds, transform and default do not fit together.
 
     Examples
     --------
@@ -63,6 +68,18 @@ class Parameter:
             raise ConfigError(f"transform {self.transform!r} of {self.name} is none of {', '.join(TRANSFORMS)}")
         if np.isnan([v for v in (self.low, self.high, self.default) if v is not None]).any():
             raise ConfigError(f"a bound or the default of {self.name} is NaN", hint="give numbers, or None for what follows from the band")
+        if not self.name.isidentifier():
+            raise ConfigError(f"a parameter is called {self.name!r:.60}", hint="give one word, as in kind@3+Z=word:1.5")
+        low, high = -np.inf if self.low is None else self.low, np.inf if self.high is None else self.high
+        if not low <= high:
+            raise ConfigError(f"{self.name} has the bounds {low:g} and {high:g}", hint="give the lower one first")
+        if self.transform == "log" and self.low is not None and self.low <= 0:
+            hint = 'give a lower bound above 0, or the transform "linear" or "signed_log"'
+            raise ConfigError(f"{self.name} has the lower bound {low:g} on a logarithmic scale", hint=hint)
+        if self.default is not None and not low <= self.default <= high:
+            raise ConfigError(
+                f"the default of {self.name} is {self.default:g}, expected {low:g} to {high:g}", hint="give one within the bounds"
+            )
 
     def bounds(self, band_hz: tuple[float, float] | None = None) -> tuple[float, float]:
         """Lower and upper bound; the band stands in where the kind leaves a bound open.

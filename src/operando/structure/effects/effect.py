@@ -10,7 +10,7 @@ import numpy as np
 
 from operando.data import check_fields, listed, numbers_of, positive_band
 from operando.dof import Dof, parse_dofs
-from operando.errors import ConfigError
+from operando.errors import ConfigError, OperandoError, UnknownKindError
 from operando.indicators import INTERVAL
 from operando.structure.effects.base import EffectKind
 from operando.structure.effects.registry import kind_of
@@ -129,10 +129,20 @@ class Effect:
             if std < 0:
                 raise ConfigError(f"the standard deviation of {name} of {self.kind} is {std:g}", hint="give one of at least 0")
 
+    def __hash__(self) -> int:
+        return hash((self.kind, self.location, self.position, self.direction, self.removed, frozenset(self.values.items())))
+
     @property
     def definition(self) -> EffectKind:
         """The kind: words, parameters, how it acts."""
         return kind_of(self.kind)
+
+    def _known(self) -> EffectKind | None:
+        """The kind, None where it was taken out of the catalogue since: the effect can still be shown."""
+        try:
+            return self.definition
+        except UnknownKindError:
+            return None
 
     @property
     def supported(self) -> bool:
@@ -170,7 +180,8 @@ class Effect:
     def size(self) -> str:
         """How large, in words; ± is the 95 % interval."""
         parts = []
-        definition = self.definition
+        if (definition := self._known()) is None:
+            return ", ".join(f"{name} {value}" for name, value in self.values.items())
         for p in (*definition.parameters, *definition.constants):
             value, std = self.values[p.name], self.std.get(p.name)
             if isinstance(value, (tuple, list)):
@@ -240,7 +251,23 @@ class Effect:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
-        """The effect of a JSON object made by :meth:`to_dict`."""
+        """The effect of a JSON object made by :meth:`to_dict`.
+
+        Raises
+        ------
+        ConfigError
+            If it is none.
+        """
+        try:
+            return cls._from_dict(data)
+        except OperandoError:
+            raise
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            hint = 'give what Effect.to_dict gives, as {"kind": "point_mass", "location": ["3+Z"], "parameters": {"mass": {"value": 0.2}}}'
+            raise ConfigError(f"{data!r:.200} describes no effect ({type(error).__name__}: {error})", hint=hint) from error
+
+    @classmethod
+    def _from_dict(cls, data: Mapping[str, Any]) -> Effect:
         values, std = {}, {}
         for name, entry in data.get("parameters", {}).items():
             value = entry["value"]
@@ -262,13 +289,13 @@ class Effect:
 
     def __str__(self) -> str:
         place = f"{','.join(f'{v:g}' for v in self.position)}:{self.direction}" if self.position else ",".join(map(str, self.location))
-        numbers = []
+        numbers, known = [], self._known()
         for name, value in self.values.items():
             if isinstance(value, (tuple, list)):
                 if value:
                     numbers.append(f"{name}:{';'.join(f'{v:.6g}' for v in value)}")
             else:
-                first = self.definition.removable and name == self.definition.names[0]
+                first = known is not None and known.removable and name == known.names[0]
                 numbers.append(f"{name}:{(self.sign if first else 1.0) * value:.6g}")
         return f"{self.kind}{f'@{place}' if place else ''}{'=' + ','.join(numbers) if numbers else ''}"
 

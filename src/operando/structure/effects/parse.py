@@ -64,6 +64,8 @@ def _parsed(text: str, band_hz: tuple[float, float] | None, fixed: bool) -> Effe
         if not colon:
             raise ConfigError(f"{item!r} in {text!r} is no name:value", hint=_HOW)
         parameter = definition.parameter(name)
+        if name in values:
+            raise ConfigError(f"{name} of {kind} is given twice", hint="give it once")
         try:
             numbers = tuple(float(v) for v in number.split(";"))
         except ValueError:

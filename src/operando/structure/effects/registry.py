@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from operando.errors import ConfigError, OperandoError
+from operando.errors import ConfigError, OperandoError, UnknownKindError
 from operando.structure.effects import channels, hysteresis, level_dependent, linear, whole
-from operando.structure.effects.base import EffectKind
+from operando.structure.effects.base import EffectKind, Parameter
+from operando.structure.effects.returned import checked
 
 _KINDS: dict[str, EffectKind] = {}
 _ACTS = {
@@ -73,6 +74,10 @@ def register(kind: type[EffectKind]) -> type[EffectKind]:
         raise ConfigError(f"{kind.kind} adds stiffness but takes no DOF")
     if kind.coordinates not in ("difference", "separate", "node") or (kind.coordinates == "node" and kind.places != 1):
         raise ConfigError(f"coordinates of {kind.kind} cannot be {kind.coordinates!r} on {kind.places} DOFs")
+    for what, given in (("parameters", kind.parameters), ("constants", kind.constants)):
+        if not (isinstance(given, tuple | list) and all(isinstance(p, Parameter) for p in given)):
+            hint = 'as in parameters = (Parameter("stiffness", "N/m", 1.0, 1e9, "log", 1e4),)'
+            raise ConfigError(f"the {what} of {kind.kind} are {given!r:.60}, expected a tuple of Parameter", hint=hint)
     names = [p.name for p in (*kind.parameters, *kind.constants)]
     if len(set(names)) != len(names):
         raise ConfigError(f"{kind.kind} has two parameters of one name")
@@ -91,13 +96,13 @@ def is_own(definition: EffectKind) -> bool:
 
 
 def _guarded(definition: EffectKind, name: str) -> Callable[..., Any]:
-    """A method of the user's whose errors are told as such; numbers that cannot be are left to the fit."""
+    """A method of the user's whose errors, and results of another form, are named as such; numbers that cannot be are left to the fit."""
     method = getattr(definition, name)
 
     @functools.wraps(method)
     def called(*args: Any, **kwargs: Any) -> Any:
         try:
-            return method(*args, **kwargs)
+            found = method(*args, **kwargs)
         except (OperandoError, np.linalg.LinAlgError, OverflowError, MemoryError):
             raise
         except Exception as error:
@@ -109,6 +114,7 @@ def _guarded(definition: EffectKind, name: str) -> Callable[..., Any]:
                 where=where,
                 hint=f"correct it there; values has {known}",
             ) from error
+        return checked(definition, name, method, found, args, kwargs)
 
     return called
 
@@ -141,8 +147,8 @@ def kind_of(name: str) -> EffectKind:
         return _KINDS[name]
     near = get_close_matches(str(name), _KINDS, 1, 0.5)
     hint = (f"did you mean {near[0]!r}? " if near else "") + "kinds: " + ", ".join(sorted(_KINDS))
-    hint += "; a kind of your own is known once its file is named by --own FILE"
-    raise ConfigError(f"unknown kind of effect {name!r:.60}", hint=hint)
+    hint += "; a kind of your own is known once its module is imported, or named by --own FILE"
+    raise UnknownKindError(f"unknown kind of effect {name!r:.60}", hint=hint)
 
 
 for _room in (linear, whole, channels, level_dependent, hysteresis):
