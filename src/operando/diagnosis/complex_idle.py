@@ -19,7 +19,7 @@ from operando.ema.answers import floor_variance
 from operando.ema.by_hand import without_doubts
 from operando.ema.findings import misfit_findings
 from operando.errors import DataError, DofError
-from operando.frf import in_one_sense, opposed_dofs
+from operando.frf import in_one_sense, opposed_dofs, with_fewer_references
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
@@ -61,7 +61,7 @@ def with_complex_modes(
         return model
     with one_blas_thread():
         try:
-            return _fitted(model, in_one_sense(frf, opposed_dofs(frf)), band, progress)
+            return _fitted(model, with_fewer_references(in_one_sense(frf, opposed_dofs(frf))), band, progress)
         except (DataError, DofError, np.linalg.LinAlgError) as error:  # the real modes stand without it
             return replace(model, findings=(*model.findings, _not_tried(error)))
 

@@ -27,6 +27,7 @@ from operando.diagnosis.search import search
 from operando.diagnosis.verdict import no_other_answer, verdict, with_validation
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError
+from operando.frf import with_fewer_references
 from operando.structure.effects import Effect
 from operando.threads import one_blas_thread
 
@@ -84,6 +85,7 @@ def diagnose_modes(
     if idle.scaling != "unit_modal_mass":
         raise DataError("the idle shapes have no scale: no effect can be sized", hint="give units to the idle test")
     say = progress or (lambda text: None)
+    idle_frf = None if idle_frf is None else with_fewer_references(idle_frf)
     with one_blas_thread():
         parts = list(getattr(operating.details, "halves", ()) if halves is None else halves)
         if band is not None:

@@ -11,7 +11,7 @@ from operando.diagnosis.idle import Idle
 from operando.diagnosis.poor_idle import with_what_is_left
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.verdict import misses_idle_frfs
-from operando.frf import in_one_sense, opposed_dofs
+from operando.frf import in_one_sense, opposed_dofs, with_fewer_references
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class Measured:
         if idle_frf is not None and (opposed := opposed_dofs(idle_frf)):  # the idle model has them in one sense
             frf = in_one_sense(frf, [d for d in opposed_dofs(frf, opposed) if any(d.same_axis(o) for o in opposed)])
             idle_frf = in_one_sense(idle_frf, opposed)
+        idle_frf = None if idle_frf is None else with_fewer_references(idle_frf)
         band = band_asked(band, frf) or idle.band_hz or (float(frf.frequencies_hz[0]), float(frf.frequencies_hz[-1]))
         known = Idle.of(idle, band, frf.references if idle_frf is None else idle_frf.references)
         if idle_frf is None:

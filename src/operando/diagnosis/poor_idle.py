@@ -20,6 +20,7 @@ from operando.diagnosis.scan import Say, robust_scan
 from operando.diagnosis.search import Search
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import supported
+from operando.dof import Dof
 
 Array = NDArray[Any]
 
@@ -44,17 +45,25 @@ def with_what_is_left(frf: Frf, rest: State) -> Frf:
     hz, h, _, _ = case.lines.every
     left = np.abs(h - case.forward.predict(rest.x, case.lines.w_all, derivatives=False).h) ** 2
     middles = np.geomspace(max(hz[0], 1e-3 * hz[-1]), hz[-1], _STRETCHES)
-    at, half = np.searchsorted(hz, middles), _LEAST_LINES // 2
-    first = np.minimum(np.searchsorted(hz, middles * (1 - _WIDE)), np.maximum(at - half, 0))
-    last = np.maximum(np.searchsorted(hz, middles * (1 + _WIDE)), at + half)
+    around, half = np.searchsorted(hz, middles), _LEAST_LINES // 2
+    first = np.minimum(np.searchsorted(hz, middles * (1 - _WIDE)), np.maximum(around - half, 0))
+    last = np.maximum(np.searchsorted(hz, middles * (1 + _WIDE)), around + half)
     # the squared modulus of a complex normal deviate is exponential
     power = np.array([np.median(left[a:b], axis=0) for a, b in zip(first, last, strict=True)]) / np.log(2)
     dofs, there = case.dofs, case.lines.there
+
+    def at(dof: Dof) -> list[list[int]]:
+        """Where a DOF stands among the responses and references of the idle FRFs."""
+        sides = case.forward.responses, case.forward.references
+        return [[k for k, r in enumerate(side) if dofs[r].same_axis(dof)] for side in sides]
+
     other, variance = np.median(power[:, there], axis=1), np.empty(frf.data.shape)
     for i, response in enumerate(frf.responses):
-        rows = [k for k, r in enumerate(case.forward.responses) if dofs[r].same_axis(response)]
+        rows = at(response)
         for j, reference in enumerate(frf.references):
-            pairs = [(a, k) for a in rows for k, r in enumerate(case.forward.references) if dofs[r].same_axis(reference) and there[a, k]]
+            columns = at(reference)
+            pairs = [(a, k) for a in rows[0] for k in columns[1] if there[a, k]]
+            pairs += [(a, k) for a in columns[0] for k in rows[1] if there[a, k]]  # the same FRF at rest
             variance[i, j] = np.interp(frf.frequencies_hz, middles, power[:, *pairs[0]] if pairs else other)
     return replace(frf, variance=variance if frf.variance is None else np.maximum(variance, frf.variance))
 

@@ -132,12 +132,13 @@ def _parted(fit: LinearFit, which: tuple[int, ...]) -> LinearFit:
     grid = fit.pairs.grid
     i, j = (np.unique(side, return_inverse=True)[1] for side in grid.T)
     p = fit.projection
-    fields = {name: getattr(p, name).copy() for name in ("a", "b", "a_std", "shift", "shifted", "slope")}
+    fields = {name: getattr(p, name).copy() for name in ("a", "b", "a_std", "shift", "shifted", "slope", "spread_sums")}
     rotated = min(1.0, float(np.hypot(*extra)) / max(abs(hz[1] - hz[0]), 1e-300)) if apart else 0.0
     for own, other, k in zip(residues, residues[::-1], pairs, strict=True):
         fields["a"][:, k], fields["b"][:, k] = own[i, j].real, own[i, j].imag
         fields["a_std"][:, k] = np.hypot(a_std, rotated * np.abs(other[i, j]))
     fields["shift"][:, pairs], fields["shifted"][:, np.concatenate([pairs, n + pairs])] = 0.0, 0.0
+    fields["spread_sums"][:, pairs] = 0.0  # shifts of the poles that were say nothing of these
     fields["slope"][:, pairs] = fields["slope"][:, pairs].mean(axis=1, keepdims=True)
     to_mean = np.eye(2 * n)
     for at in (pairs, n + pairs):

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from operando.ema.discrepancy import line_correlation, student_weights
-from operando.ema.linear import FEW_PLACES, LinearFit, inverse_of, raised
+from operando.ema.linear import FEW_PLACES, LinearFit, inverse_of, place_scatter
 from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.projection import basis, modal_power
 from operando.ema.spectra import FrfNoise
 from operando.synthesis import power_of
+
+SHIFTED_PAIRS = 8.0
+"""Pairs that tell the spread of shifts to a quarter, 1/√(2·8)."""
 
 ROUNDS = 30
 """Rounds of the weights of the common error; they settle in fewer than ten."""
@@ -38,7 +41,8 @@ def stated_covariance(fit: LinearFit) -> Real:
     - An error common to all FRFs of a force is none between them.
     - 1/(x + iζ) averaged over a spread s is as with ζ(1 + s²/ζ²); a random walk over all places of rms δ has s² = δ²/places within one.
 
-    Frequencies err by the shifts of the pairs, whose spread no weight has made smaller; of few places the lines say as much as is true.
+    Frequencies err as damping does (a pole in its real and imaginary part), and by the shifts of the pairs, whose spread no weight has made
+    smaller. Where ``SHIFTED_PAIRS`` tell it, that spread counts as they show it, without the pairs that the prior of the search stands for.
     """
     variances, n = np.diag(fit.covariance).copy(), fit.n_modes
     places = max(1, np.unique(fit.pairs.places[fit.pairs.places >= 0]).size)
@@ -47,9 +51,15 @@ def stated_covariance(fit: LinearFit) -> Real:
         variances[n:] *= _damping_slope(fit)
     else:
         variances[n:] = np.maximum(variances[n:], counted)
+        shifts, pairs = fit.projection.spread_sums[2:]
+        own = place_scatter(fit.pairs, fit.projection)[0]
+        by_lines = fit.poles.zeta**2 * counted + shifts / np.maximum(pairs, 1.0) ** 2
+        scatter = by_lines if own is None else np.maximum(np.diag(own)[:n], by_lines)
+        variances[:n] = np.where(pairs >= SHIFTED_PAIRS, scatter, variances[:n])
     variances[:n] += fit.poles.zeta**2 * common
     variances[n:] += common + np.minimum(fit.poles.drift**2 / fit.poles.zeta**2 / places, 1.0) ** 2
-    return raised(fit.covariance, variances)
+    size = np.sqrt(variances / np.maximum(np.diag(fit.covariance), 1e-300))
+    return np.asarray(fit.covariance * np.outer(size, size))
 
 
 def _line_variances(fit: LinearFit) -> tuple[Real, Real]:

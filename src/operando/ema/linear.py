@@ -206,27 +206,36 @@ def fit_linear(
 
 
 def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
-    """Cluster sandwich (Liang & Zeger, Biometrika 73, 1986, 13–22): all pairs of one place or set-up are a cluster, means belong to each.
+    """By the scatter between places; with few of them the covariance of ν correlated lines counts where it is larger."""
+    naive = np.asarray(0.5 * nu * inverse_of(projection.normal))
+    own, count = place_scatter(pairs, projection)
+    if own is None:
+        return naive
+    return raised(own, np.diag(naive)) if count < FEW_PLACES else own
+
+
+def place_scatter(pairs: Pairs, projection: Projection) -> tuple[Real | None, int]:
+    """Covariance by the scatter between places, None where there is one alone, and how many they are.
+
+    Cluster sandwich (Liang & Zeger, Biometrika 73, 1986, 13–22): all pairs of one place or set-up are a cluster, means belong to each.
 
     One hit, or one mounting of the sensors, is behind them all. What is stated is the mean over the places that were measured: a slow trend
-    from place to place, in the order of the file, is no error of it, so successive differences stand for the scatter (von Neumann, Ann.
-    Math. Stat. 12, 1941, 367–395). With few clusters the covariance of ν correlated lines counts where it is larger.
+    from place to place, in the order of the file, is no error of it, so successive differences of many stand for the scatter (von Neumann,
+    Ann. Math. Stat. 12, 1941, 367–395).
     """
     inverse = inverse_of(projection.normal)
-    naive = 0.5 * nu * inverse
     single = pairs.places >= 0
     place = np.unique(pairs.places[single], return_inverse=True)[1]
     count = int(place.max(initial=-1)) + 1
     if count < 2:
-        return np.asarray(naive)
+        return None, count
     gradient = np.zeros((count, projection.gradient.shape[1]))
     np.add.at(gradient, place, projection.gradient[single])
     gradient += projection.gradient[~single].sum(axis=0) / count
     if count < FEW_PLACES:
-        own = np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
-        return raised(own, np.diag(naive))
+        return np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1)), count
     steps = np.diff(gradient, axis=0)
-    return np.asarray(inverse @ (steps.T @ steps) @ inverse * 0.5 * count / (count - 1))
+    return np.asarray(inverse @ (steps.T @ steps) @ inverse * 0.5 * count / (count - 1)), count
 
 
 def inverse_of(normal: Real) -> Real:

@@ -6,6 +6,7 @@ from operando.frf.checks import in_one_sense as in_one_sense
 from operando.frf.checks import opposed_dofs as opposed_dofs
 from operando.frf.checks import power_signs as power_signs
 from operando.frf.checks import reversing as reversing
+from operando.frf.checks import with_fewer_references as with_fewer_references
 from operando.frf.estimate import estimate_frf
 from operando.frf.excitation import is_periodic
 from operando.frf.given import merge_frfs

@@ -157,6 +157,21 @@ def in_one_sense(frf: Frf, opposed: Sequence[Dof]) -> Frf:
     return replace(frf, data=frf.data * np.broadcast_to(sign, frf.data.shape[:2])[..., None])
 
 
+def with_fewer_references(frf: Frf) -> Frf:
+    """FRFs of a structure at rest with responses and references exchanged where the references are more, as of a roving hammer.
+
+    H is symmetric there (Maxwell's reciprocity). The shape at a reference is part of all of its FRFs, that at a response of its own alone:
+    of 64 references and one response a fit of complex modes has 3300 unknowns that all share, of the FRFs exchanged 280.
+    """
+    if len(frf.references) <= len(frf.responses):
+        return frf
+    turned: Any = {}
+    for name in ("data", "variance", "coherence", "setups"):
+        own = getattr(frf, name)
+        turned[name] = None if own is None else np.swapaxes(own, 0, 1)
+    return replace(frf, responses=frf.references, references=frf.responses, **turned)
+
+
 def check_rigid_body_signs(frf: Frf) -> list[Finding]:
     """Responses of the wrong sense, seen where a freely suspended structure moves as a rigid body.
 
