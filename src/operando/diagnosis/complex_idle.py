@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, ModalModel
-from operando.diagnosis.criteria import EARNED, EXPLAINED, MOST_CHI_SQUARE, REST_LINES
+from operando.diagnosis.criteria import EARNED, EXPLAINED, MOST_CHI_SQUARE, REST_DISCREPANCY, REST_LINES
 from operando.diagnosis.force_noise import moved_by_force_noise
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.poles import poles
 from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
 from operando.ema.answers import floor_variance
 from operando.ema.by_hand import without_doubts
+from operando.ema.details import EmaDetails
 from operando.ema.findings import misfit_findings
 from operando.errors import DataError, DofError
 from operando.frf import in_one_sense, opposed_dofs, with_fewer_references
@@ -38,6 +39,7 @@ def with_complex_modes(
     the model, where its reduced chi-square is above 1.5 or 1 % of the FRFs and more is left unexplained. Taken where that becomes less
     than 3 %, the evidence is above that of real modes fitted in the same way (MacKay, Neural Computation 4, 1992, 415–447) by as much
     as an effect has to be, and the error on lines that the fit did not use is less than that of the model, which did use them.
+    Not tried where the linear stage has the modes in phase: what it leaves real modes leave for another reason.
 
     Parameters
     ----------
@@ -59,11 +61,23 @@ def with_complex_modes(
     band = band or model.band_hz
     if model.scaling != "unit_modal_mass" or not model.si or model.coupling is not None or band is None or not model.n_modes:
         return model
+    if _in_phase(model):
+        return model
     with one_blas_thread():
         try:
             return _fitted(model, with_fewer_references(in_one_sense(frf, opposed_dofs(frf))), band, progress)
         except (DataError, DofError, np.linalg.LinAlgError) as error:  # the real modes stand without it
             return replace(model, findings=(*model.findings, _not_tried(error)))
+
+
+def _in_phase(model: ModalModel) -> bool:
+    """Whether the linear stage, whose answer this is, finds less in quadrature at resonance (rms) than real modes may leave."""
+    kept = model.details.linear if isinstance(model.details, EmaDetails) and model.details.answer == "linear" else None
+    if kept is None:
+        return False
+    inside = np.isin(kept.frequencies_hz, model.frequencies_hz[model.in_band])
+    parts = np.array([e.quadrature for e in kept.evidence])[inside]
+    return bool(parts.size and np.sqrt(np.mean(parts**2)) < REST_DISCREPANCY)
 
 
 def _fitted(model: ModalModel, frf: Frf, band: tuple[float, float], progress: Callable[[str], None] | None) -> ModalModel:
