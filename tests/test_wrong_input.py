@@ -224,7 +224,7 @@ def test_the_estimator_is_named_in_any_case() -> None:
 
 @pytest.mark.parametrize(("estimator", "said"), [("h1", False), ("h2", True), ("hv", True)])
 def test_the_bias_by_noise_on_the_responses_is_said(estimator: str, said: bool) -> None:
-    frf = operando.estimate_frf(noisy_record(motion_noise=0.3), estimator=estimator, block_seconds=10.0)
+    frf = operando.estimate_frf(noisy_record(motion_noise=0.3), estimator=estimator, block_seconds=4.0)
     found = [f for f in frf.findings if f.kind == "biased_estimator"]
     assert bool(found) is said
     for finding in found:

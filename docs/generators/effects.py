@@ -46,7 +46,7 @@ def entry(kind: Any) -> list[str]:
     """The section of one kind."""
     rows = [f"- Location: {_places(kind)}", f"- Changes: {MOVES.get(kind.moves, kind.moves)}"]
     if kind.level_dependent:
-        rows.append("- Depends on the level: needs records with measured force at two levels")
+        rows.append("- Nonlinear: found in records with measured force, as a rule of two levels")
     if not kind.symmetric:
         rows.append("- Not reciprocal: H ≠ Hᵀ, which a modal model of real shapes cannot represent")
     if kind.removable:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import operando
+from operando.frf.hits import FINDING_KINDS
 
 SOURCE = Path(operando.__file__).resolve().parent
 MAKERS = {"Finding": 0, "_finding": 2, "note": 0}
@@ -43,15 +44,25 @@ class _Scope:
     """Texts that the names of a function or module stand for."""
 
     def __init__(self, tree: ast.AST) -> None:
-        self.texts: dict[str, ast.expr] = {}
+        self.texts: dict[str, list[ast.expr]] = {}
         for node in ast.walk(tree):
             if isinstance(node, ast.Assign):
                 for target in node.targets:
                     self._take(target, node.value)
+            elif isinstance(node, ast.AnnAssign) and node.value is not None:
+                self._take(node.target, node.value)
+            elif isinstance(node, ast.For) and isinstance(node.iter, ast.Call) and isinstance(node.iter.func, ast.Attribute):
+                if node.iter.func.attr == "items" and isinstance(node.target, ast.Tuple):  # the keys of a table
+                    self._take(node.target.elts[0], node.iter.func.value)
+
+    def before(self, name: str, line: int) -> ast.expr | None:
+        """What a name was last given above a line."""
+        above = [value for value in self.texts.get(name, []) if value.lineno <= line]
+        return max(above, key=lambda value: value.lineno, default=None)
 
     def _take(self, target: ast.expr, value: ast.expr) -> None:
         if isinstance(target, ast.Name):
-            self.texts.setdefault(target.id, value)
+            self.texts.setdefault(target.id, []).append(value)
         elif isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             for one, its in zip(target.elts, value.elts, strict=False):
                 self._take(one, its)
@@ -74,8 +85,8 @@ def _text(node: ast.expr | None, scopes: tuple[_Scope, ...], depth: int = 3) -> 
         return " / ".join(t for t in (_text(v, scopes, depth) for v in node.values) if t and t != FILLED) or FILLED
     if isinstance(node, ast.Name) and depth:
         for scope in scopes:
-            if node.id in scope.texts:
-                return _text(scope.texts[node.id], scopes, depth - 1)
+            if (value := scope.before(node.id, node.lineno)) is not None:
+                return _text(value, scopes, depth - 1)
     return FILLED
 
 
@@ -103,10 +114,11 @@ def said() -> list[Said]:
                 continue
             named = {k.arg: k.value for k in call.keywords if k.arg}
             at = MAKERS[maker]
-            kinds = _kinds(call.args[at] if len(call.args) > at else named.get("kind"))
+            kinds = _kinds(call.args[at] if len(call.args) > at else named.get("kind"), scopes)
             message = _text(call.args[at + 1] if len(call.args) > at + 1 else named.get("message"), scopes)
             if maker == "_finding":
-                severity, consequence, action = (_text(a, scopes) for a in (*call.args[5:8], *[None] * 3)[:3])
+                consequence, action, _, severity = (_text(a, scopes) for a in (*call.args[4:8], *[None] * 4)[:4])
+                severity = severity or _text(named.get("severity"), scopes) or "warning"
             else:
                 given = call.args[2] if maker == "Finding" and len(call.args) > 2 else named.get("severity")
                 severity = _text(given, scopes) or "warning"
@@ -115,11 +127,20 @@ def said() -> list[Said]:
     return out
 
 
-def _kinds(node: ast.expr | None) -> list[str]:
+def _kinds(node: ast.expr | None, scopes: tuple[_Scope, ...], depth: int = 3) -> list[str]:
+    """Kinds that an argument may be: a text, one of two, the keys of a table, or what a name stands for."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return [node.value]
     if isinstance(node, ast.IfExp):
-        return _kinds(node.body) + _kinds(node.orelse)
+        return _kinds(node.body, scopes, depth) + _kinds(node.orelse, scopes, depth)
+    if isinstance(node, ast.Dict):
+        return [kind for key in node.keys for kind in _kinds(key, scopes, depth)]
+    if isinstance(node, ast.Name) and node.id == "reason":  # of a hit
+        return list(FINDING_KINDS)
+    if isinstance(node, ast.Name) and depth:
+        for scope in scopes:
+            if (value := scope.before(node.id, node.lineno)) is not None:
+                return _kinds(value, scopes, depth - 1)
     return []
 
 

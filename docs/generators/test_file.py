@@ -109,7 +109,7 @@ WORDS: dict[str, dict[str, str]] = {
         "stop_s": "Last time used [s]. Default: the end.",
     },
     "geometry": {
-        "file": "UFF file with nodes; exactly one.",
+        "file": "UFF file or CSV table with nodes; exactly one.",
         "units": 'Unit of the coordinates where the file does not say, as in `"mm"`.',
     },
     "units": {

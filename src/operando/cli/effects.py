@@ -83,7 +83,7 @@ def places_words(kind: EffectKind) -> str:
 def example(kind: EffectKind) -> str:
     """The effect as `operando add` takes it."""
     at = {0: "", 1: "@7+Z", 2: "@7+Z,12+Z"}[kind.places]
-    values = [f"{p.name}:{p.start(_BAND):g}" for p in kind.parameters]
+    values = [f"{p.name}:{p.start(_BAND) or p.high / 100:g}" for p in kind.parameters]
     return kind.kind + at + ("=" + ",".join(values) if values else "")
 
 
@@ -95,7 +95,7 @@ def _text(kind: EffectKind) -> str:
     own = "" if type(kind).__module__.startswith("operando.") else " (own)"
     lines = [f"{kind.kind}{own}: {kind.plain}", f"force law: {law(kind)}" if law(kind) else "", f"location: {places_words(kind)}"]
     if kind.level_dependent:
-        lines.append("depends on the level: needs records with measured force at two levels")
+        lines.append("nonlinear: found in records with measured force, as a rule of two levels")
     if not kind.symmetric:
         lines.append("not reciprocal: H differs from its transpose")
     parts = ["\n".join(line for line in lines if line)]

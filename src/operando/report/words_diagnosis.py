@@ -377,7 +377,8 @@ def lines_words(judged_on: Mapping[str, Any]) -> str:
     """State, level and lines of the hold-out figures."""
     if not judged_on:
         return ""
-    part = "whole runs" if judged_on.get("whole_run") else "hold-out blocks of lines"
+    blocks = "hold-out blocks of lines" if judged_on.get("ranges_hz") is not None else "all lines, those of the fit included,"
+    part = "whole runs" if judged_on.get("whole_run") else blocks
     runs = listing([str(r) for r in judged_on.get("runs") or []], MOST_NAMED)
     text = f"{judged_on['state']} state, {judged_on['measured']}"
     text += f", {part} of {runs}" if runs else ""

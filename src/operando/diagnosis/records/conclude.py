@@ -132,7 +132,9 @@ def conclude(
     notes += [OF_ALL_RUNS] if any(one is not other for one, other in zip(accepted, every, strict=False)) else []
     notes += too_fast(effects, accepted, len(first.fitted), rows[-1]["heldout_misfit"])
     if not first.validation:
-        notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")
+        notes.append(
+            "one level alone: the errors by step are of all its lines, those of the fit included; a second level would show what scales"
+        )
     search = found_laws(last, weighted, every, found, steps[0], geometry)
     same = search.equivalents[: len(accepted)]
     candidates = [candidate_row(first, t, steps[0].base_select) for t in steps[0].tried]
