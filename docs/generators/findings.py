@@ -51,9 +51,8 @@ class _Scope:
                     self._take(target, node.value)
             elif isinstance(node, ast.AnnAssign) and node.value is not None:
                 self._take(node.target, node.value)
-            elif isinstance(node, ast.For) and isinstance(node.iter, ast.Call) and isinstance(node.iter.func, ast.Attribute):
-                if node.iter.func.attr == "items" and isinstance(node.target, ast.Tuple):  # the keys of a table
-                    self._take(node.target.elts[0], node.iter.func.value)
+            elif isinstance(node, ast.For) and isinstance(node.target, ast.Tuple) and ast.unparse(node.iter).endswith(".items()"):
+                self._take(node.target.elts[0], node.iter.func.value)  # type: ignore[attr-defined]  # the keys of a table
 
     def before(self, name: str, line: int) -> ast.expr | None:
         """What a name was last given above a line."""

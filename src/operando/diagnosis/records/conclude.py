@@ -133,7 +133,7 @@ def conclude(
     notes += too_fast(effects, accepted, len(first.fitted), rows[-1]["heldout_misfit"])
     if not first.validation:
         notes.append(
-            "one level alone: the errors by step are of all its lines, those of the fit included; a second level would show what scales"
+            "one level alone: the errors by step are of all its lines, fitted ones included; a second level would show what scales"
         )
     search = found_laws(last, weighted, every, found, steps[0], geometry)
     same = search.equivalents[: len(accepted)]
