@@ -83,7 +83,7 @@ def places_words(kind: EffectKind) -> str:
 def example(kind: EffectKind) -> str:
     """The effect as `operando add` takes it."""
     at = {0: "", 1: "@7+Z", 2: "@7+Z,12+Z"}[kind.places]
-    values = [f"{p.name}:{p.start(_BAND) or p.high / 100:g}" for p in kind.parameters]
+    values = [f"{p.name}:{p.start(_BAND) or (p.high or 1.0) / 100:g}" for p in kind.parameters]
     return kind.kind + at + ("=" + ",".join(values) if values else "")
 
 
