@@ -72,6 +72,13 @@ def test_modes_that_cannot_be_are_refused(given: dict[str, Any], words: str) -> 
         ModalModel(**(plain | given))
 
 
+def test_a_covariance_is_as_exact_as_its_products() -> None:
+    """Products that cancel leave less than nothing of a variance: the diagnosis of a mass on a measured plate ended there."""
+    rounded = np.diag([1.0, -1e-20, 1e-30])
+    rounded[1, 2] = 1e-20
+    assert ModalModel([20.0], [0.02], [[1.0]], "1+Z", covariance=rounded).covariance is not None
+
+
 def test_objects_keep_what_they_were_made_of() -> None:
     data, lines, shapes = np.ones((1, 1, 2)), np.array([1.0, 2.0]), np.ones((1, 1))
     frf = Frf(data, lines, "1+X", "1+X", variance=data.real)

@@ -67,12 +67,12 @@ def check_covariance(covariance: NDArray[np.float64], n: int) -> None:
     if covariance.shape != (n, n):
         raise DataError(f"covariance has shape {covariance.shape}, expected {(n, n)}")
     variances = np.diag(covariance)
-    if not np.all(np.isfinite(covariance)) or np.any(variances < 0):
+    rounding = 1e-12 * variances.max(initial=0.0)  # of products that cancel, where a parameter is known far better than others
+    if not np.all(np.isfinite(covariance)) or np.any(variances < -rounding):
         raise DataError("covariance holds values that are not finite, or variances below 0", hint="leave it out where it is not known")
     if np.array_equal(covariance, covariance.T):
         return
-    deviations = np.sqrt(variances)
-    rounding = 1e-12 * variances.max(initial=0.0)  # of products that cancel, where a parameter is known far better than others
+    deviations = np.sqrt(np.maximum(variances, 0))
     if np.any(np.abs(covariance - covariance.T) > 1e-6 * np.outer(deviations, deviations) + rounding):
         raise DataError("covariance is not symmetric", hint="give E[δ δᵀ] of all parameters, in their order")
 
