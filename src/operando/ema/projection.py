@@ -27,7 +27,7 @@ from operando.ema.pair_fits import Before, Columns, PairFits, chunks, fit_pairs,
 from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.polish_model import OUTSIDE_DAMPING
 from operando.ema.start import OUTSIDE_FACTORS
-from operando.synthesis import combined, kernel_derivatives, modal_kernel, power_of, row_blocks
+from operando.synthesis import combined, kernel_derivatives, modal_kernel, power_of
 
 Coefficients = tuple[Real, Real, Real]
 """Residues a, quadrature parts b and shifts δ, each (P, n)."""
@@ -167,14 +167,10 @@ def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: flo
     for r in np.flatnonzero((shares > least) & single):
         moved_by = np.clip(shift[:, r], -CURVED_MOST * poles.zeta[r], CURVED_MOST * poles.zeta[r])
         hz = poles.hz[r] * (1 + moved_by)
-        reach = 2 * CURVED_MOST / np.sqrt(max(least, 1e-300)) * poles.zeta[r] * poles.hz[r]
-        near = slice(*np.searchsorted(f, [poles.hz[r] - reach, poles.hz[r] + reach]))
-        first_order = np.stack([a[:, r], b[:, r], moved_by * a[:, r], moved_by * b[:, r]], axis=1)
-        columns = np.stack([g[r, near], h[r, near], gf[r, near], hf[r, near]])
-        for at in row_blocks(hz.size, columns.shape[1]):
-            moved = modal_kernel(f[near], hz[at], np.full(hz[at].size, poles.zeta[r]), "accelerance", rate)
-            moved *= a[at, r, None] + (b[at, r] / (2 * np.pi * hz[at]))[:, None] * s[near]
-            out[at, near] += moved - combined(first_order[at], columns)
+        near = np.abs(f - poles.hz[r]) < 2 * CURVED_MOST / np.sqrt(max(least, 1e-300)) * poles.zeta[r] * poles.hz[r]
+        moved = modal_kernel(f[near], hz, np.full(hz.size, poles.zeta[r]), "accelerance", rate)
+        out[:, near] += a[:, r, None] * (moved - g[r, near] - moved_by[:, None] * gf[r, near])
+        out[:, near] += b[:, r, None] * (moved * s[near] / (2 * np.pi * hz[:, None]) - h[r, near] - moved_by[:, None] * hf[r, near])
     return out
 
 
